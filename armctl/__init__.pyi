@@ -63,6 +63,10 @@ from .core.trajectory import Trajectory as Trajectory
 from .design.arm_estimate import ArmEstimate as ArmEstimate
 from .design.arm_estimate import Validation as Validation
 from .design.arm_excitation import Excitation as Excitation
+from .design.calibrate import GeometryEstimate as GeometryEstimate
+from .design.calibrate import calibrate_geometry as calibrate_geometry
+from .design.calibration_poses import CalibrationPoses as CalibrationPoses
+from .design.calibration_poses import calibration_poses as calibration_poses
 from .design.elasticity import ElasticityEstimate as ElasticityEstimate
 from .design.elasticity import identify_elasticity as identify_elasticity
 from .design.excitation import excitation as excitation
@@ -71,6 +75,8 @@ from .design.filter_proposal import propose_filter as propose_filter
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
 from .design.identify import identify as identify
+from .design.identify_servo import ServoEstimate as ServoEstimate
+from .design.identify_servo import identify_servo as identify_servo
 from .design.linearization import LinearArm as LinearArm
 from .design.linearization import linear_arm as linear_arm
 from .design.linearization import linearize as linearize
@@ -79,6 +85,7 @@ from .design.margins import Margins as Margins
 from .design.margins import margins as margins
 from .design.payload import PayloadEstimate as PayloadEstimate
 from .design.payload import identify_payload as identify_payload
+from .design.servo_simulation import ServoParameters as ServoParameters
 from .design.stability import LoopMargins as LoopMargins
 from .design.tuning import Tuning as Tuning
 from .design.tuning import tune as tune
@@ -118,6 +125,9 @@ from .motion.trajectory.joint_trajectory import JointTrajectory as JointTrajecto
 from .motion.trajectory.limit_check import LimitCheck as LimitCheck
 from .motion.trajectory.limit_check import Peak as Peak
 from .planning.move_free import move_free as move_free
+from .planning.optimize import MotionMeasures as MotionMeasures
+from .planning.optimize import OptimizedMotion as OptimizedMotion
+from .planning.optimize import optimize as optimize
 from .render.video import Film as Film
 from .render.video import record as record
 from .render.video import still as still
@@ -128,6 +138,11 @@ from .sim.contact_reaction import ContactReaction as ContactReaction
 from .sim.follow import StreamRun as StreamRun
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
+from .sim.mppi import MPPI as MPPI
+from .sim.mppi import MPPIOptions as MPPIOptions
+from .sim.mppi import PushResult as PushResult
+from .sim.mppi import Rollouts as Rollouts
+from .sim.mppi import push as push
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate

@@ -117,9 +117,7 @@ class CollisionScene:
         """
 
     def overlap_depth(self, q: numpy.ndarray, pair: int) -> float:
-        """
-        How far the geoms of a pair must move to part, m: the least over the model's directions.
-        """
+        """How far the geoms of a pair must move to part, m, at most."""
 
     def find_near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> int:
         """
@@ -267,25 +265,12 @@ class Dynamics:
 
 def factorize(M: numpy.ndarray) -> None:
     """
-    Factorizes a positive definite (n, n) matrix in place, as L D L^T, for `solve` and `multiply`.
-    """
-
-def take_roots(factors: numpy.ndarray) -> None:
-    """
-    Makes the lower triangle of what `factorize` leaves the Cholesky factor.
+    Factorizes a positive definite (n, n) matrix in place, as L D L^T, for `solve`.
     """
 
 def solve(factors: numpy.ndarray, x: numpy.ndarray) -> None:
     """
     Replaces x (n,) by the solution of M solution = x, with M as `factorize` leaves it.
-    """
-
-def multiply(factors: numpy.ndarray, x: numpy.ndarray, product: numpy.ndarray) -> None:
-    """product = M x, (n,) each, with M as `factorize` leaves it."""
-
-def solve_least_squares(A: numpy.ndarray, b: numpy.ndarray, x: numpy.ndarray) -> None:
-    """
-    Adds to x (r,) the shortest vector that minimizes |A^T x - b|; A (r, n) is overwritten.
     """
 
 def tips(model: ArmModel, q: numpy.ndarray, positions: numpy.ndarray, rotations: numpy.ndarray) -> None:
@@ -517,11 +502,6 @@ class Chain:
     def branches(self, q: numpy.ndarray, branches: numpy.ndarray) -> None:
         """Fills branches (N,) with the numbers of those of q (N, n)."""
 
-    def manipulabilities(self, oriented: bool, q: numpy.ndarray, values: numpy.ndarray) -> None:
-        """
-        Fills values (N,) with the manipulability at each q (N, n), lengths in m.
-        """
-
 class IkErrorModel:
     """
     Half the squared error around a configuration, with scratch memory: use an object in one thread at a time.
@@ -541,13 +521,6 @@ class IkErrorModel:
         """
         Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach
         counts like a rad. Returns the norm of the error.
-        """
-
-    def null_step(
-        self, constraint: Constraint, desired: numpy.ndarray, low: numpy.ndarray, high: numpy.ndarray, step: numpy.ndarray
-    ) -> None:
-        """
-        The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.
         """
 
 class ClosedForm:
@@ -783,18 +756,6 @@ class HybridForce(Law):
     @property
     def in_contact(self) -> bool:
         """Whether every force axis with a target is in contact."""
-
-def limit_excess(
-    coefficients: numpy.ndarray,
-    steps: numpy.ndarray,
-    order: int,
-    low: numpy.ndarray,
-    high: numpy.ndarray,
-    excess: numpy.ndarray,
-) -> None:
-    """
-    How far a derivative of each joint leaves [low, high] in each piece: exact where greater than 0, else at most 0.
-    """
 
 def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from_near: bool, **arguments) -> bool:
     """

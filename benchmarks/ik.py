@@ -23,7 +23,10 @@ from markdown_table import markdown_table
 
 import armctl
 from armctl import Arm, Pose
-from armctl.ik import DifferentialIk, solve_ik, solve_ik_all, solve_ik_batch
+from armctl.ik.all_solutions import solve_ik_all
+from armctl.ik.batch import solve_ik_batch
+from armctl.ik.differential import DifferentialIk
+from armctl.ik.solve import solve_ik
 
 ARMS = ["panda", "ur5e", "iiwa14", "xarm7", "gen3"]
 POSITION_TOLERANCE, ORIENTATION_TOLERANCE = 1e-5, 1e-4

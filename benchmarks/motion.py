@@ -24,7 +24,8 @@ from motion_peers import TIMERS, Timed
 from scipy.interpolate import make_interp_spline
 
 import armctl
-from armctl.motion import JointTrajectory, move_path
+from armctl.motion.move_cartesian import move_path
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 
 Array = np.ndarray
 

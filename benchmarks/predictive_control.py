@@ -1,9 +1,10 @@
 """Motions that need more torque than the motors have: clipped computed torque, its quadratic program, LQR and MPC.
 
-    python benchmarks/predictive_control.py [--motions 200]
+    python benchmarks/predictive_control.py [--motions 200] [--offline 20]
 
 Random motions of a bundled arm and of two synthetic ones, with torque limits between what keeps the speed and what
-the motion needs.
+the motion needs. A motion counts if the arm touches nothing during it, which is proved before any law follows it. The
+first ones are also optimized offline, with the whole motion known in advance.
 """
 
 import argparse
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from markdown_table import titled_table
+from offline_tracking import INTERVAL_S, offline_error
 
 import armctl
 
@@ -47,48 +49,94 @@ TIMED_TICKS = 2000
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--motions", type=int, default=200)
+    parser.add_argument("--offline", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "predictive_control.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
     with tempfile.TemporaryDirectory() as folder:
         arms = {name: serial_arm(Path(folder), BENT[name]) for name in ("six joints", "redundant")}
         arms = {"robot_arm_3dof": armctl.load("robot_arm_3dof"), **arms}
-        text = "\n\n".join([study(arms, args.motions), cost(arms)]) + "\n"
+        text = "\n\n".join([*study(arms, args.motions, args.offline), cost(arms)]) + "\n"
     args.out.write_text(text, encoding="utf-8")
     print(text)
 
 
-def study(arms: dict[str, armctl.Arm], motions: int) -> str:
+def study(arms: dict[str, armctl.Arm], motions: int, offline: int) -> list[str]:
     rows = []
+    offline_rows = []
     for name, arm in arms.items():
-        rng = np.random.default_rng(11)
-        cases = [(SHARES[k % len(SHARES)], *arm.limits.random(arm.home, 2, rng)) for k in range(motions)]
-        clipped = np.array(
-            [tip_error(arm, lambda weak: Clipped(weak, armctl.ComputedTorque(weak)), *case)[0] for case in cases]
-        )
+        cases = random_cases(arm, motions)
+        clipped = np.array([tracked(lambda weak: Clipped(weak, armctl.ComputedTorque(weak)), *case)[0] for case in cases])
         for law, make in LAWS.items():
-            found = np.array([tip_error(arm, make, *case) for case in cases])
-            ratio = found[:, 0] / clipped
-            pooled = np.sqrt(np.sum(found[:, 0] ** 2) / np.sum(clipped**2))
-            quantiles = [f"{np.quantile(ratio, p):.2f}" for p in (0.5, 0.9, 1.0)]
-            rows.append([name, law, f"{pooled:.2f}", *quantiles, f"{max(found[:, 1].max(), 0.0):.1e}"])
-    columns = ["arm", "law", "RMS / clipped", "median", "90 %", "largest", "outside of joint limits, rad"]
-    title = f"RMS error of the tip relative to clipped computed torque, {motions} motions of each arm"
-    return titled_table(title, columns, rows)
+            error, outside = np.array([tracked(make, *case) for case in cases]).T
+            for group, chosen in (("all", clipped >= 0.0), ("clipped >= 1 mm", clipped >= 1e-3)):
+                share = np.mean(error[chosen] <= clipped[chosen] / 3)
+                outside_mrad = f"{1e3 * max(outside[chosen].max(), 0.0):.1g}"
+                numbers = [*compared(error, clipped, chosen), f"{100 * share:.0f}", outside_mrad]
+                rows.append([name, law, group, str(chosen.sum()), *numbers])
+            if law == "mpc":
+                best = np.array([offline_error(*case) for case in cases[:offline]])
+                found = np.isfinite(best)
+                of = [name, f"{found.sum()} of {offline}"]
+                of.append(f"{1e3 * np.sqrt(np.mean(clipped[:offline][found] ** 2)):.2f}")
+                for each in (error[:offline], best):
+                    of += [
+                        f"{1e3 * np.sqrt(np.mean(each[found] ** 2)):.2f}",
+                        f"{np.median((each / clipped[:offline])[found]):.2f}",
+                    ]
+                offline_rows.append(of)
+    columns = ["arm", "law", "motions", "number", "RMS", "median", "90 %", "largest", "at most 1/3, %", "outside, mrad"]
+    offline_columns = ["arm", "optimized", "clipped, mm", "mpc, mm", "median", "offline, mm", "median"]
+    return [
+        titled_table(
+            f"Error of the tip relative to clipped computed torque, {motions} motions of each arm; the last column is the "
+            "farthest outside of a joint limit",
+            columns,
+            rows,
+        ),
+        titled_table(
+            "RMS error of the tip, and the median relative to clipped computed torque, beside the optimum that knows the whole "
+            f"motion in advance, for accelerations that are constant over {1e3 * INTERVAL_S:g} ms",
+            offline_columns,
+            offline_rows,
+        ),
+    ]
 
 
-def tip_error(arm: armctl.Arm, make, share: float, start: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
-    """The RMS error of the tip, m, and the largest distance, rad, to the limits of the joints, positive outside."""
-    motion = armctl.move_j(arm, start, goal)
-    setpoints = motion.sample(np.arange(0.0, motion.duration, 0.002))
+def compared(error: np.ndarray, clipped: np.ndarray, chosen: np.ndarray) -> list[str]:
+    """Errors relative to those of clipped computed torque: of all motions together, and quantiles."""
+    if not chosen.any():
+        return 4 * ["-"]
+    ratio = error[chosen] / clipped[chosen]
+    pooled = np.sqrt(np.sum(error[chosen] ** 2) / np.sum(clipped[chosen] ** 2))
+    return [f"{each:.2f}" for each in (pooled, *np.quantile(ratio, [0.5, 0.9, 1.0]))]
+
+
+def random_cases(arm: armctl.Arm, motions: int) -> list[tuple[armctl.Arm, armctl.JointTrajectory]]:
+    """Free motions between random configurations, each with a weakened arm."""
+    rng = np.random.default_rng(11)
+    cases: list[tuple[armctl.Arm, armctl.JointTrajectory]] = []
     rest = np.zeros(arm.n)
-    steady = np.max([np.abs(arm.inverse_dynamics(q, v, rest)) for q, v in zip(setpoints.q, setpoints.v, strict=True)], axis=0)
-    moving = np.max([np.abs(arm.inverse_dynamics(*each)) for each in zip(*setpoints[:3], strict=True)], axis=0)
-    tau_max = np.minimum(arm.limits.tau_max, steady + share * (moving - steady))
-    weak = arm.with_limits(replace(arm.limits, tau_max=tau_max))
+    while len(cases) < motions:
+        motion = armctl.move_j(arm, *arm.limits.random(arm.home, 2, rng))
+        if not armctl.check_clearance(arm, motion):
+            continue
+        setpoints = motion.sample(np.arange(0.0, motion.duration, 0.002))
+        steady = np.max(
+            [np.abs(arm.inverse_dynamics(q, v, rest)) for q, v in zip(setpoints.q, setpoints.v, strict=True)], axis=0
+        )
+        moving = np.max([np.abs(arm.inverse_dynamics(*each)) for each in zip(*setpoints[:3], strict=True)], axis=0)
+        tau_max = np.minimum(arm.limits.tau_max, steady + SHARES[len(cases) % len(SHARES)] * (moving - steady))
+        cases.append((arm.with_limits(replace(arm.limits, tau_max=tau_max)), motion))
+    return cases
+
+
+def tracked(make, weak: armctl.Arm, motion: armctl.JointTrajectory) -> tuple[float, float]:
+    """The RMS error of the tip, m, and the largest distance, rad, to the limits of the joints, positive outside."""
     log = armctl.simulate(weak, make(weak), motion, armctl.Plant(timestep=0.001), dwell=0.5)
-    outside = np.maximum(log.q - arm.limits.q_max, arm.limits.q_min - log.q).max()
-    return float(np.sqrt(np.mean(np.sum((log.tip - log.tip_ref) ** 2, axis=1)))), float(outside)
+    outside = np.maximum(log.q - weak.limits.q_max, weak.limits.q_min - log.q).max()
+    moving = log.t <= motion.duration
+    return float(np.sqrt(np.mean(np.sum((log.tip - log.tip_ref)[moving] ** 2, axis=1)))), float(outside)
 
 
 def cost(arms: dict[str, armctl.Arm]) -> str:
@@ -96,7 +144,7 @@ def cost(arms: dict[str, armctl.Arm]) -> str:
     rows = []
     for name, arm in arms.items():
         holding = np.abs(arm.gravity(arm.home))
-        law = armctl.MPC(arm.with_limits(replace(arm.limits, tau_max=0.6 * arm.limits.tau_max + 0.2 * holding)))
+        law = armctl.MPC(arm.with_limits(replace(arm.limits, tau_max=1.2 * holding + 0.05 * arm.limits.tau_max)))
         rest = np.zeros(arm.n)
         rng = np.random.default_rng(5)
         times = []

@@ -17,10 +17,11 @@ project = "armctl"
 author = "the armctl authors"
 version = release = armctl.__version__
 
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser"]
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser", "sphinx_copybutton"]
 exclude_patterns = ["_build"]
 default_role = "code"
 highlight_language = "text"  # what programs print is no code
+copybutton_selector = "div.highlight:not(.highlight-text *) > pre"  # of code, not of what programs print
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 

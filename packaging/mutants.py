@@ -1,145 +1,99 @@
 """Seeds errors in the code, one at a time, and prints which share of them the tests find: `make mutants`.
 
-    python packaging/mutants.py [--count 200] [--seed 0] [--since REVISION] [SUBPACKAGE ...]
+    python packaging/mutants.py [--count 200] [--seed 0] [--seconds 40] [--since REVISION] [SUBPACKAGE ...]
 
-Each error is one changed operator or number, or a comparison or condition that is turned round. Named constants of modules are
-left alone, since most of them tune a search. The error is made in a copy of the repository under build/, and the tests of its
-subpackage run there until one fails; for C++, those of all that use it. An error that no test finds is printed: a test is
-missing, or it changes nothing that can be observed.
+Each error is one changed operator or number, or a comparison or condition that is turned round. What cannot be observed, or
+only tunes a search, is left alone: texts, warnings, types, `__repr__`, caches, tolerances, thresholds of rounding, and named
+constants of modules. The error is made in a copy of the repository under build/, and tests run there until one fails: those of
+the subpackage, of which the ones that call the changed function come first, the quick ones before the slow ones, and others
+that call it, for 40 s in all. Which test calls which function is recorded once, in build/mutants.json. An error that no test
+finds is printed: a test is missing, or it changes nothing that can be observed.
+
+Errors in C++ are compiled together as far as they are expressions within a line, each behind a switch that SEEDED_ERROR turns
+on.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
-import copy
+import contextlib
+import difflib
+import hashlib
+import importlib
+import json
 import os
 import random
 import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import CodeType, FrameType
 from typing import Any
+
+import pytest
+from mutations import CXX_SWITCH, Mutant, cxx_mutants, python_mutants, switched
 
 ROOT = Path(__file__).resolve().parents[1]
 WORK = ROOT / "build" / f"mutants-{os.getpid()}"
-PYTEST = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-n", "0"]
-TIMEOUT_S = 1200  # a test that hangs has found the error
+RECORD = ROOT / "build" / "mutants.json"
+# Imported once, before the processes of the tests are forked.
+PRELOADED = ("scipy.optimize", "scipy.signal", "scipy.stats", "mujoco", "pinocchio", "matplotlib.pyplot", "mink")
+TIMEOUT_S = 600.0  # a test that hangs has found the error
+MEMORY_BYTES = 8 << 30  # an error that allocates without end must not take the computer's memory
 CXX = "cpp"
 # Tests of a subpackage beside tests/SUBPACKAGE: it is checked where it is used.
-MORE_TESTS = {
-    "control": ["tests/sim/test_compiled_loop.py"],
-    "robot": ["tests/control/test_core_laws.py", "tests/motion/test_move_cartesian.py"],
+MORE_TESTS = {"control": ["sim"], "robot": ["control", "motion"]}
+# Tests of a file of C++ by the beginning of its path; all of these folders check what all of the core uses.
+CXX_TESTS = {
+    "laws/": ["control"],
+    "(law|linear_algebra|quadratic|interior|motors)": ["control", "sim"],
+    "(ik|closed|trigonometric|chain_kin)": ["ik"],
+    "(collision|clearance|gjk|convex)": ["collision"],
+    "(rrt)": ["planning"],
+    "(path|waypoint|limit_excess)": ["motion"],
+    "(environment|actions|error_model|free_space)": ["envs"],
+    "(tick|wrench|mujoco|tip_follower)": ["sim"],
+    "": ["robot", "control", "collision", "ik", "motion", "sim", "envs", "planning"],
 }
-CXX_TESTS = [f"tests/{folder}" for folder in ("robot", "control", "collision", "ik", "motion", "sim", "planning", "envs")]
 DEFAULT = ["control", "robot", "ik", "motion", "collision", "design", "envs", CXX]
+Record = dict[str, dict[str, Any]]
 
 
-def both_ways(*pairs: tuple[Any, Any]) -> dict[Any, Any]:
-    """A table in which each of a pair leads to the other."""
-    return {one: other for pair in pairs for one, other in (pair, pair[::-1])}
+def build_switched(mutants: list[Mutant]) -> list[Mutant]:
+    """Builds the core once with many errors, of which SEEDED_ERROR chooses one by its number; returns those in it, by number.
 
-
-COMPARISONS = both_ways((ast.Lt, ast.GtE), (ast.LtE, ast.Gt), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn))
-OPERATORS = both_ways((ast.Add, ast.Sub), (ast.Mult, ast.Div)) | {ast.MatMult: ast.Mult, ast.Pow: ast.Mult}
-# Replaced in code lines of C++. A unary minus and templates do not match, for operators have blanks on both sides.
-CXX_PAIRS = [("+", "-"), ("*", "/"), ("<", ">="), ("<=", ">"), ("==", "!="), ("&&", "||"), ("+=", "-=")]
-CXX_CHANGES = both_ways(*((f" {one} ", f" {other} ") for one, other in CXX_PAIRS))
-CXX_NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(e-?\d+)?")
-CXX_SKIPPED = re.compile(r"^\s*(//|#|throw|template|using|namespace)|static_assert|InputError|operator")
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """A file with one error."""
-
-    file: Path  # relative to the root
-    line: int
-    before: str
-    after: str
-    text: str
-
-
-def changed(node: ast.AST) -> ast.AST | None:
-    """A copy of an expression with an error; None if there is none to make."""
-    new = copy.deepcopy(node)
-    match new:
-        case ast.Compare(ops=[operator]) if type(operator) in COMPARISONS:
-            new.ops = [COMPARISONS[type(operator)]()]
-        case ast.BinOp(op=operator) if type(operator) in OPERATORS:
-            new.op = OPERATORS[type(operator)]()
-        case ast.BoolOp(op=operator):
-            new.op = ast.Or() if isinstance(operator, ast.And) else ast.And()
-        case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
-            return operand
-        case ast.Constant(value=bool(value)):
-            new.value = not value
-        case ast.Constant(value=int(value) | float(value)):
-            new.value = value + 1 if isinstance(value, int) else (1.5 * value if value else 1.0)
-        case ast.IfExp():
-            new.body, new.orelse = new.orelse, new.body
-        case _:
-            return None
-    return new
-
-
-def expressions(node: ast.AST) -> Iterator[ast.expr]:
-    """All expressions that are computed, without annotations, texts and errors that are raised."""
-    if isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr):
-        return
-    if isinstance(node, ast.expr):
-        yield node
-    for name, value in ast.iter_fields(node):
-        if name in ("annotation", "returns", "decorator_list", "type_params"):
-            continue
-        for child in value if isinstance(value, list) else [value]:
-            if isinstance(child, ast.AST):
-                yield from expressions(child)
-
-
-def python_mutants(file: Path) -> list[Mutant]:
-    """All mutants of a Python file."""
-    text = (WORK / file).read_text(encoding="utf-8")
-    lines = text.encode().splitlines(keepends=True)
-    found = []
-    module = ast.parse(text)
-    module.body = [statement for statement in module.body if not isinstance(statement, ast.Assign | ast.AnnAssign)]
-    for node in expressions(module):
-        new = changed(node)
-        if new is None or node.end_lineno is None:
-            continue
-        start = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
-        end = sum(map(len, lines[: node.end_lineno - 1])) + (node.end_col_offset or 0)
-        source = text.encode()
-        after = f"({ast.unparse(new)})"
-        mutated = source[:start] + after.encode() + source[end:]
-        found.append(Mutant(file, node.lineno, source[start:end].decode(), after, mutated.decode()))
-    return found
-
-
-def cxx_mutants(file: Path) -> list[Mutant]:
-    """All mutants of a C++ file."""
-    lines = (WORK / file).read_text(encoding="utf-8").splitlines(keepends=True)
-    found = []
-    for number, line in enumerate(lines):
-        code = line.partition("//")[0]
-        if CXX_SKIPPED.search(line):
-            continue
-        spots = [
-            (match.start(), before, after)
-            for before, after in CXX_CHANGES.items()
-            for match in re.finditer(re.escape(before), code)
-        ]
-        spots += [(match.start(), match[0], f"(1.5 * {match[0]} + 1e-3)") for match in CXX_NUMBER.finditer(code)]
-        for place, before, after in spots:
-            new = line[:place] + after + line[place + len(before) :]
-            text = "".join([*lines[:number], new, *lines[number + 1 :]])
-            found.append(Mutant(file, number + 1, line.strip(), new.strip(), text))
-    return found
+    Errors that do not compile so, and of several errors in one line all but the first, are left out.
+    """
+    originals = {file: (WORK / file).read_text(encoding="utf-8") for file in {mutant.file for mutant in mutants}}
+    lines = {file: text.splitlines(keepends=True) for file, text in originals.items()}
+    chosen: list[Mutant] = [
+        mutant
+        for mutant in {(mutant.file, mutant.line): mutant for mutant in reversed(mutants)}.values()
+        if switched(lines[mutant.file][mutant.line - 1], mutant.changed_line(), 0) is not None
+    ]
+    (WORK / "armctl" / CXX / "seeded_error.hpp").write_text(CXX_SWITCH, encoding="utf-8")
+    while chosen:
+        texts = {file: text.splitlines(keepends=True) for file, text in originals.items()}
+        for number, mutant in enumerate(chosen):
+            line = switched(texts[mutant.file][mutant.line - 1], mutant.changed_line(), number)
+            assert line is not None
+            texts[mutant.file][mutant.line - 1] = line
+        for file, lines in texts.items():
+            (WORK / file).write_text(f'#include "seeded_error.hpp"\n{"".join(lines)}', encoding="utf-8")
+        failure = build()
+        if failure is None:
+            return chosen
+        wrong = {(Path(name).name, int(line) - 1) for name, line in re.findall(r"([\w./]+\.[ch]pp):(\d+):\d+: error", failure)}
+        remaining = [mutant for mutant in chosen if (mutant.file.name, mutant.line) not in wrong]
+        chosen = remaining if len(remaining) < len(chosen) else []
+    return []
 
 
 def files_of(subpackage: str, since: str | None) -> list[Path]:
@@ -154,15 +108,102 @@ def files_of(subpackage: str, since: str | None) -> list[Path]:
     return [file for file in files if str(file) in names]
 
 
-def tests_of(mutant: Mutant) -> list[str]:
-    """Arguments of pytest: the tests of the file first, then the others of its subpackage."""
-    subpackage = mutant.file.parts[1]
-    if subpackage == CXX:
-        return CXX_TESTS
-    folder = WORK / "tests" / subpackage
-    own = [str(path.relative_to(WORK)) for path in sorted(folder.glob(f"test_*{mutant.file.stem.split('_')[0]}*.py"))]
-    rest = [str(path.relative_to(WORK)) for path in sorted(folder.glob("test_*.py"))]
-    return list(dict.fromkeys([*own, *rest, *MORE_TESTS.get(subpackage, [])]))
+class Recorder:
+    """A plugin of pytest that records which functions of armctl each test calls, and how long it takes."""
+
+    def __init__(self) -> None:
+        self.tests: dict[str, dict[str, Any]] = {}
+        self.failed: set[str] = set()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        called: set[CodeType] = set()
+
+        def note(frame: FrameType, event: str, argument: Any) -> None:
+            called.add(frame.f_code)
+
+        started = time.process_time()
+        threading.settrace(note)
+        sys.settrace(note)
+        try:
+            return (yield)
+        finally:
+            sys.settrace(None)
+            threading.settrace(None)  # pyright: ignore[reportArgumentType]
+            package = f"{WORK}/armctl/"
+            names = {
+                f"{code.co_filename.removeprefix(f'{WORK}/')}:{code.co_qualname}"
+                for code in called
+                if package in code.co_filename
+            }
+            self.tests[item.nodeid] = {"seconds": round(time.process_time() - started, 3), "calls": sorted(names)}
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self.failed.add(report.nodeid)
+
+    def pytest_sessionfinish(self) -> None:
+        passed = {test: row for test, row in self.tests.items() if test not in self.failed}
+        (WORK / "recorded.json").write_text(json.dumps(passed))
+
+
+class Order:
+    """A plugin of pytest that runs tests in an order, and leaves out those that are not in it."""
+
+    def __init__(self, tests: list[str]) -> None:
+        self.place = {test: k for k, test in enumerate(tests)}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted((item for item in items if item.nodeid in self.place), key=lambda item: self.place[item.nodeid])
+
+
+def forked(action: Callable[[], int], timeout: float) -> int:
+    """What a function returns in a process of its own; not 0 if that ends by a signal or takes too long."""
+    child = os.fork()
+    if child == 0:
+        code = 70
+        try:
+            os.setsid()
+            resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+            code = action()
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(code)
+    end = time.monotonic() + timeout
+    try:
+        while time.monotonic() < end:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.05)
+        return 1
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(child, 0)
+
+
+def run_pytest(arguments: list[str], plugin: object, number: int | None = None, timeout: float = TIMEOUT_S) -> int:
+    """The exit code of pytest in the copy, with an error of the core chosen by its number."""
+
+    def action() -> int:
+        os.chdir(WORK)
+        with open("output.txt", "w") as output:
+            os.dup2(output.fileno(), 1)
+            os.dup2(output.fileno(), 2)
+        os.environ["PYTHONPATH"] = str(WORK)
+        os.environ["SEEDED_ERROR"] = str(-1 if number is None else number)
+        sys.path[:] = [str(WORK), *(path for path in sys.path if Path(path) not in (ROOT, ROOT / "packaging"))]
+        code = int(pytest.main(["-q", "-p", "no:cacheprovider", "-n", "0", *arguments], plugins=[plugin]))
+        armctl = sys.modules.get("armctl")
+        assert armctl is None or Path(str(armctl.__file__)).is_relative_to(WORK), "another armctl was tested"
+        return code
+
+    return forked(action, timeout)
 
 
 def prepare() -> None:
@@ -172,41 +213,96 @@ def prepare() -> None:
     )
 
 
-def run(command: list[str]) -> tuple[bool, str]:
-    """Whether a command succeeds in the copy, in time, and what it printed."""
-    environment = {**os.environ, "PYTHONPATH": str(WORK), "PYTHONDONTWRITEBYTECODE": "1"}
+def read_record(subpackages: list[str]) -> Record:
+    """The tests of subpackages and what they call; files of tests that are new or changed are run first."""
+    folders = {*subpackages, *(folder for name in subpackages for folder in MORE_TESTS.get(name, []))}
+    if CXX in folders:
+        folders = {*folders, *CXX_TESTS[""]} - {CXX}
     try:
-        done = subprocess.run(command, cwd=WORK, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
-    except subprocess.TimeoutExpired:
-        return False, ""
-    return done.returncode == 0, done.stdout
+        known = json.loads(RECORD.read_text())
+    except FileNotFoundError:
+        known = {}
+    stamps = {
+        str(path.relative_to(WORK)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for folder in sorted(folders)
+        for path in sorted((WORK / "tests" / folder).glob("test_*.py"))
+    }
+    new = [file for file, stamp in stamps.items() if known.get(file, {}).get("stamp") != stamp]
+    if new:
+        print(f"running {len(new)} files of tests without an error", flush=True)
+        code = run_pytest(new, Recorder(), timeout=3600.0)
+        if code:
+            print(
+                (WORK / "output.txt").read_text()[-4000:],
+                f"\nthe tests above fail without an error; they judge nothing ({code})",
+            )
+        recorded = json.loads((WORK / "recorded.json").read_text())
+        for file in new:
+            known[file] = {"stamp": stamps[file], "tests": {}}
+        for test, row in recorded.items():
+            known[test.partition("::")[0]]["tests"][test] = row
+        RECORD.write_text(json.dumps(known))
+    return {test: row for file in stamps for test, row in known[file]["tests"].items()}
 
 
-@cache
-def check_test(test: str) -> None:
-    """Ends the program if a test that found an error also fails without one."""
-    passes, output = run([*PYTEST, test])
-    if not passes:
-        raise SystemExit(f"{test} fails without an error in the code:\n{output}")
+def tests_of(mutant: Mutant, record: Record, limit: float) -> list[str]:
+    """The tests that judge a mutant: those of its subpackage that call its function, others that call it, others of it."""
+    if mutant.file.suffix == ".py":
+        subpackage = mutant.file.parts[1]
+        folders = [subpackage, *MORE_TESTS.get(subpackage, [])]
+        name = f"{mutant.file}:{mutant.function}"
+    else:
+        path = "/".join(mutant.file.parts[2:])
+        folders = next(folders for start, folders in CXX_TESTS.items() if re.match(start, path))
+        name = ""
+    ranked = []
+    for test, row in record.items():
+        own = test.split("/")[1] in folders
+        calls = name in row["calls"]
+        if own or calls or not name:
+            ranked.append((not calls, not own, row["seconds"], test))
+    seconds = 0.0
+    tests = []
+    for *_, duration, test in sorted(ranked):
+        seconds += duration
+        if seconds < limit:
+            tests.append(test)
+    return tests
 
 
-def is_found(mutant: Mutant) -> bool:
+def is_found(mutant: Mutant, record: Record, limit: float) -> bool:
     """Whether a test, or the compiler, finds the error."""
-    build = [sys.executable, "packaging/build_backend/armctl_build.py"]
     target = WORK / mutant.file
     original = target.read_text(encoding="utf-8")
     target.write_text(mutant.text, encoding="utf-8")
+    forget_compiled(target)
     try:
-        is_cxx = mutant.file.suffix != ".py"
-        if is_cxx and not run(build)[0]:
+        if mutant.file.suffix != ".py" and build() is not None:
             return True
-        passes, output = run([*PYTEST, *tests_of(mutant)])
+        return tests_fail(tests_of(mutant, record, limit), None)
     finally:
         target.write_text(original, encoding="utf-8")
-    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", output, re.MULTILINE)
-    if failed and not is_cxx:
-        check_test(failed[1])
-    return not passes
+        forget_compiled(target)
+
+
+def forget_compiled(file: Path) -> None:
+    """Removes what Python has compiled: it tells a new text by its time in seconds."""
+    for compiled in file.parent.glob(f"__pycache__/{file.stem}.*"):
+        compiled.unlink()
+
+
+def tests_fail(tests: list[str], number: int | None) -> bool:
+    """Whether a test fails in the copy as it is, with an error of the core chosen by its number."""
+    files = dict.fromkeys(test.partition("::")[0] for test in tests)
+    return run_pytest(["-x", *files], Order(tests), number) != 0
+
+
+def build() -> str | None:
+    """Builds the compiled core of the copy; returns what the compiler printed if it could not."""
+    command = [sys.executable, "packaging/build_backend/armctl_build.py"]
+    environment = {**os.environ, "PYTHONPATH": str(WORK)}
+    done = subprocess.run(command, cwd=WORK, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
+    return None if done.returncode == 0 else done.stdout + done.stderr
 
 
 def main() -> int:
@@ -215,33 +311,62 @@ def main() -> int:
     parser.add_argument("subpackages", nargs="*", default=DEFAULT)
     parser.add_argument("--count", type=int, default=200, help="errors in all (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=40.0, help="of tests for one error (default: %(default)s)")
     parser.add_argument("--since", help="only files that changed since this revision of git")
     args = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the copy is removed, and no test goes on
+    for module in PRELOADED:
+        importlib.import_module(module)
     prepare()
     try:
-        tally = seed_errors(args.subpackages, args.count, args.since, random.Random(args.seed))
+        record = read_record(args.subpackages)
+        tally = seed_errors(args, record)
     finally:
         shutil.rmtree(WORK)
+    tally["all"] = [found for row in tally.values() for found in row]
     print("\n| subpackage | errors | found |\n|---|---|---|")
     for subpackage, found in tally.items():
-        print(f"| {subpackage} | {len(found)} | {100 * sum(found) / len(found):.0f} % |")
+        print(f"| {subpackage} | {len(found)} | {100 * sum(found) / max(len(found), 1):.0f} % |")
     return 0
 
 
-def seed_errors(subpackages: list[str], count: int, since: str | None, rng: random.Random) -> dict[str, list[bool]]:
+def seed_errors(args: argparse.Namespace, record: Record) -> dict[str, list[bool]]:
     """Whether each of some random errors was found, by subpackage."""
+    rng = random.Random(args.seed)
     tally: dict[str, list[bool]] = {}
-    for k, subpackage in enumerate(sorted(subpackages, key=CXX.__eq__)):  # the last error in C++ remains compiled
+    for k, subpackage in enumerate(sorted(args.subpackages, key=CXX.__eq__)):  # the last error in C++ remains compiled
         make = cxx_mutants if subpackage == CXX else python_mutants
-        mutants = [mutant for file in files_of(subpackage, since) for mutant in make(file)]
-        share = count * (k + 1) // len(subpackages) - count * k // len(subpackages)
-        for mutant in rng.sample(mutants, min(share, len(mutants))):
-            found = is_found(mutant)
-            tally.setdefault(subpackage, []).append(found)
-            verdict = "found" if found else "NOT FOUND"
-            change = f"{mutant.before:.100}  ->  {mutant.after:.100}".replace("\n", " ")
-            print(f"{verdict}: {mutant.file}:{mutant.line}: {change}", flush=True)
+        mutants = [
+            mutant
+            for file in files_of(subpackage, args.since)
+            for mutant in make(file, (WORK / file).read_text(encoding="utf-8"))
+        ]
+        share = args.count * (k + 1) // len(args.subpackages) - args.count * k // len(args.subpackages)
+        chosen = rng.sample(mutants, min(share, len(mutants)))
+        originals = {file: (WORK / file).read_text(encoding="utf-8") for file in {mutant.file for mutant in chosen}}
+        together = build_switched(chosen) if subpackage == CXX else []
+        quick = sorted(record, key=lambda test: record[test]["seconds"])[:100]
+        if together and tests_fail(quick, None):
+            raise SystemExit(f"tests fail in a core without an error:\n{(WORK / 'output.txt').read_text()[-4000:]}")
+        verdicts = tally.setdefault(subpackage, [])
+        for number, mutant in enumerate(together):
+            verdicts.append(tests_fail(tests_of(mutant, record, args.seconds), number))
+            print_verdict(mutant, originals[mutant.file], verdicts[-1])
+        for file, text in originals.items():
+            (WORK / file).write_text(text, encoding="utf-8")
+        for mutant in chosen:
+            if mutant not in together:
+                verdicts.append(is_found(mutant, record, args.seconds))
+                print_verdict(mutant, originals[mutant.file], verdicts[-1])
     return tally
+
+
+def print_verdict(mutant: Mutant, original: str, found: bool) -> None:
+    """Prints where an error was, and the error itself if it was not found."""
+    print(f"{'found' if found else 'NOT FOUND'}: {mutant.file}:{mutant.line}", flush=True)
+    if not found:
+        change = difflib.unified_diff(original.splitlines(), mutant.text.splitlines(), lineterm="", n=0)
+        print(*(f"    {line}" for line in list(change)[3:]), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -23,13 +23,15 @@ def grows(
     law = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     held = Excited(law, loop.holding_torque, 0, np.zeros(1))
     rest = np.zeros(arm.n)
-    # The torque that is added for equilibrium follows from the first call: here at the configuration itself, before the kick.
-    state = armctl.State(loop.q, rest, -1.0, loop.dt, deflection=np.zeros((2, arm.n)))
-    held.torque(state, Setpoint(loop.q, rest, rest, rest, rest))
     sim = armctl.Simulation(arm, held, plant)
+    sim.reset(loop.q)
+    # The torque that is added for equilibrium follows from the first call: here as measured at rest, before the kick.
+    seen = sim.measured_state._replace(t=-1.0)
+    at = loop.q if getattr(law, "needs_deflection", False) else seen.q  # where what it controls rests: the links, or the motors
+    held.torque(seen, Setpoint(at, rest, rest, rest, rest))
     kick = np.random.default_rng(0).normal(size=arm.n) * DEVIATION
     sim.reset(loop.q + kick)
-    log = sim.run(standstill(arm, loop.q, steps * loop.dt))
+    log = sim.run(standstill(arm, at, steps * loop.dt))
     if log.failure:
         return True
     deviation = np.abs(log.q - loop.q).max(axis=1)

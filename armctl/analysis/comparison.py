@@ -20,7 +20,8 @@ from armctl.core.tables import Table
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import integer, number
 from armctl.design.margins import margins
-from armctl.motion import JointTrajectory, move_j
+from armctl.motion.move_j import move_j
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import WITH_ENCODER, Plant
 from armctl.sim.simulate_many import Run, rows_as_runs, run_many

@@ -31,8 +31,10 @@ from armctl.core.errors import PlanError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, integer, number
-from armctl.ik import solve_ik
-from armctl.motion import JointTrajectory, move_j, move_l, move_path
+from armctl.ik.solve import solve_ik
+from armctl.motion.move_cartesian import move_l, move_path
+from armctl.motion.move_j import move_j
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import NOMINAL, Plant, Push
 from armctl.sim.simulate import simulate

@@ -50,14 +50,12 @@ Run = Callable[[argparse.Namespace], int]
 
 
 def add_command(commands: Commands, name: str, run: Run, text: str) -> argparse.ArgumentParser:
-    """Adds a command without arguments."""
     parser = commands.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
     return parser
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Adds the robot's name."""
     robot = parser.add_argument("robot", help="bundled name, alias, Menagerie name, or path of an .xml or .urdf file")
     robot.completer = _robot_names  # type: ignore[attr-defined]  # read by argcomplete
 
@@ -80,22 +78,18 @@ def add_arm(parser: argparse.ArgumentParser, *, several_scenes: bool = False) ->
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Adds --json."""
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
 def add_save(parser: argparse.ArgumentParser) -> None:
-    """Adds --save."""
     parser.add_argument("--save", type=Path, metavar="DIR", help="write logs, figures and plots into this folder")
 
 
 def add_speed(parser: argparse.ArgumentParser) -> None:
-    """Adds --speed."""
     parser.add_argument("--speed", metavar="FRACTION", default="1", help="fraction of full speed, in (0, 1] (default 1)")
 
 
 def add_timestep(parser: argparse.ArgumentParser) -> None:
-    """Adds --timestep."""
     parser.add_argument("--timestep", help="the control period, s (default the model's)")
 
 
@@ -118,7 +112,6 @@ def controllers_from(text: str) -> list[str]:
 
 
 def load_arm(args: argparse.Namespace) -> Arm:
-    """The arm that the arguments select."""
     from armctl.loading.load import load
 
     ends = {"tip": args.tip, "base": args.base, "hold_base": args.hold_base}
@@ -156,7 +149,6 @@ def speed_from(word: str) -> float:
 
 
 def names(text: str | None) -> list[str]:
-    """Names from text with commas or spaces between them."""
     return [word for word in (text or "").replace(" ", ",").split(",") if word]
 
 
@@ -176,7 +168,6 @@ def print_json(figures: object, reason: str) -> None:
 
 
 def save_report(report: Report, folder: Path, prefix: str) -> None:
-    """Writes the log, the figures and the plot of a run."""
     from armctl.core.atomic import write_text
 
     say_written(report.log.save(folder / f"{prefix}log.npz"))

@@ -22,7 +22,6 @@ _MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "compare", run, "follow the same motion under several controllers")
     common.add_arm(parser)
     parser.add_argument(
@@ -60,7 +59,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     speed = common.speed_from(args.speed)
     from armctl.analysis.comparison import compare, out_and_back, remarks
     from armctl.analysis.comparison_html import write_comparison

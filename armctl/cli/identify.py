@@ -13,7 +13,6 @@ _QUANTITIES = ("t", "q", "tau")
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "identify", run, "identify inertia and friction of an arm from a recording")
     common.add_arm(parser)
     parser.add_argument("file", type=Path, help="the recording: a .csv of t, q and tau, or a log of armctl (.npz)")
@@ -29,7 +28,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     from armctl.analysis.identification_page import identification_page
     from armctl.core.log import Log
     from armctl.design.identify import identify

@@ -11,7 +11,6 @@ _STANDARD_SPEEDS = (1.0, 0.5, 0.1)
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "iso9283", run, "measure the performance criteria of ISO 9283")
     common.add_arm(parser)
     parser.add_argument(
@@ -27,7 +26,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     speed = common.speed_from(args.speed)
     from armctl.analysis.iso9283 import iso9283_cycles
     from armctl.cli.plants import plant_by_name

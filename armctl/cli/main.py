@@ -14,44 +14,12 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from armctl import __version__
-from armctl.cli import (
-    chains,
-    compare,
-    doctor,
-    identify,
-    info,
-    iso9283,
-    margins,
-    reach,
-    reachability,
-    robot,
-    robots,
-    simulate,
-    study,
-    tune,
-    view,
-)
+from armctl.cli import compare, identify, iso9283, margins, reach, reachability, robot, robots, simulate, study, view
 from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL, print_json
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.uninterrupted import uninterrupted_import
 
-_COMMANDS = (
-    robots,
-    chains,
-    info,
-    doctor,
-    reach,
-    compare,
-    iso9283,
-    margins,
-    reachability,
-    tune,
-    identify,
-    simulate,
-    study,
-    view,
-    robot,
-)
+_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, identify, simulate, study, view, robot)
 _NOT_OPTIONS = {"action", "host", "robot", "law", "file", "run", "options"}
 
 
@@ -78,15 +46,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 class _Parser(argparse.ArgumentParser):
     """A parser that raises what the command line reports in one sentence."""
 
+    known: Sequence[str] = ()  # the names of the commands
+
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; `{self.prog} --help` lists the arguments")
 
 
-def _parsed(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+def _parsed(parser: _Parser, words: Sequence[str]) -> argparse.Namespace:
     """The arguments of a command. A mistyped command or option gets a suggestion."""
-    known = [command.__name__.rpartition(".")[2] for command in _COMMANDS]
-    if not words[0].startswith("-") and words[0] not in known:
-        raise UnknownNameError.of("command", words[0], known)
+    if not words[0].startswith("-") and words[0] not in parser.known:
+        raise UnknownNameError.of("command", words[0], parser.known)
     args, unknown = parser.parse_known_args(words)
     if unknown and unknown[0].startswith("-"):
         raise UnknownNameError.of("option", unknown[0], args.options, f"`armctl {words[0]} --help`")
@@ -133,7 +102,8 @@ def _with_options(message: str, args: argparse.Namespace) -> str:
     return message
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> _Parser:
+    """The parser. The module of a command has `add`, which gives it the command and the function that runs it."""
     parser = _Parser(prog="armctl", description="Command robot arms in MuJoCo.")
     parser.add_argument("--version", action="version", version=f"armctl {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -141,6 +111,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add(commands)
     for command in commands.choices.values():
         command.set_defaults(options=[option for option in command._option_string_actions if option.startswith("--")])
+    parser.known = list(commands.choices)
     return parser
 
 

@@ -1,38 +1,52 @@
-"""`armctl margins ROBOT`: the delay, gain and phase margins of controllers, and the worst configurations."""
+"""`armctl margins ROBOT` and `armctl tune ROBOT LAW`: how robust controllers are, and their highest gains within bounds."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from armctl.cli import common
 
+if TYPE_CHECKING:
+    from armctl.robot.arm import Arm
+    from armctl.sim.plant import Plant
+
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
-    parser = common.add_command(commands, "margins", run, "compute the margins of controllers over the workspace")
-    common.add_arm(parser)
-    parser.add_argument("--controllers", default="all", metavar="A,B,...", help=f"of {common.CONTROLLERS_HELP} (default all)")
-    parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{common.PLANTS_HELP} (default nominal)")
-    parser.add_argument("--poses", type=int, default=20, help="number of configurations (default 20)")
-    common.add_timestep(parser)
-    parser.add_argument(
+    margins = common.add_command(commands, "margins", compute_margins, "compute the margins of controllers over the workspace")
+    tune = common.add_command(commands, "tune", tune_law, "find the highest gains of a controller within bounds on its margins")
+    for parser in (margins, tune):
+        common.add_arm(parser)
+        parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{common.PLANTS_HELP} (default nominal)")
+        parser.add_argument("--poses", type=int, default=20, help="number of configurations (default 20)")
+        common.add_timestep(parser)
+        common.add_json(parser)
+    margins.add_argument("--controllers", default="all", metavar="A,B,...", help=f"of {common.CONTROLLERS_HELP} (default all)")
+    margins.add_argument(
         "--report", type=Path, metavar="DIR", help="write a page with Nyquist, sensitivity and compliance plots"
     )
-    common.add_json(parser)
+    tune.add_argument("law", help=f"the controller, of {common.CONTROLLERS_HELP}")
+    tune.add_argument("--delay-margin", default="0.005", metavar="S", help="the smallest permitted one (default 0.005)")
+    tune.add_argument("--peak-sensitivity", default="1.7", metavar="MS", help="the largest permitted one (default 1.7)")
+    tune.add_argument("--chatter", metavar="NM", help="the largest permitted torque noise with an encoder of 1e-5 rad")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
-    from armctl.analysis.margins_html import margins_table, write_margins
+def _arm_and_plants(args: argparse.Namespace) -> tuple[Arm, list[Plant]]:
     from armctl.cli.plants import plant_by_name
-    from armctl.core.progress import progress_bar
-    from armctl.design.margins import margins
 
     arm = common.load_arm(args)
     timestep = common.timestep_from(args)
+    return arm, [plant_by_name(name, arm, timestep) for name in common.names(args.plants)]
+
+
+def compute_margins(args: argparse.Namespace) -> int:
+    from armctl.analysis.margins_html import margins_table, write_margins
+    from armctl.core.progress import progress_bar
+    from armctl.design.margins import margins
+
+    arm, plants = _arm_and_plants(args)
     controllers = common.controllers_from(args.controllers)
-    plants = [plant_by_name(name, arm, timestep) for name in common.names(args.plants)]
     found = []
     with progress_bar("margins", len(controllers), "controllers") as bar:
         for name in controllers:
@@ -43,3 +57,20 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         common.say_written(write_margins(arm, found, plants, args.report))
     return common.DONE if all(found) else common.NOT_REACHED
+
+
+def tune_law(args: argparse.Namespace) -> int:
+    from armctl.design.tuning import tune
+
+    arm, plants = _arm_and_plants(args)
+    found = tune(
+        arm,
+        args.law,
+        common.one_number("delay_margin", args.delay_margin),
+        common.one_number("peak_sensitivity", args.peak_sensitivity),
+        common.one_number("chatter", args.chatter) if args.chatter else None,
+        args.poses,
+        plants,
+    )
+    common.print_result(args, str(found), found.to_dict(), found.reason)
+    return common.DONE if found else common.NOT_REACHED

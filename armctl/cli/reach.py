@@ -12,7 +12,6 @@ from armctl.core.errors import InputError, LimitError
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "reach", run, "move the tip to a target and report")
     common.add_arm(parser)
     parser.add_argument("--target", nargs="+", metavar="N", help="x y z in m, optionally with roll pitch yaw in rad")
@@ -28,7 +27,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     speed = common.speed_from(args.speed)
     from armctl.analysis.report import Report
     from armctl.core.validation import number

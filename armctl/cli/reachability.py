@@ -9,7 +9,6 @@ from armctl.cli import common
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(
         commands, "reachability", run, "compute the points that an arm reaches, and with how many orientations"
     )
@@ -22,7 +21,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     from armctl.core.atomic import file_path
     from armctl.core.plotting import ENDINGS
     from armctl.ik.reachability import reachability

@@ -1,26 +1,67 @@
-"""`armctl robots`: the robots that have a name."""
+"""`armctl robots`, `chains`, `info` and `doctor`: which robots there are, and what is in their files."""
 
 from __future__ import annotations
 
 import argparse
 
-from armctl.cli.common import DONE, Commands, add_command, add_json, print_result
+from armctl.cli import common
 
 
-def add(commands: Commands) -> None:
-    """Adds the command to the parser."""
-    parser = add_command(commands, "robots", run, "list the known robots, and which of them are installed")
-    parser.add_argument("--ratings", action="store_true", help="the makers' payload, reach and speeds, with their source")
-    add_json(parser)
+def add(commands: common.Commands) -> None:
+    robots = common.add_command(commands, "robots", list_robots, "list the known robots, and which of them are installed")
+    robots.add_argument("--ratings", action="store_true", help="the makers' payload, reach and speeds, with their source")
+    chains = common.add_command(commands, "chains", list_chains, "list every serial chain of a robot: arms, legs, fingers")
+    common.add_robot(chains)
+    info = common.add_command(commands, "info", show_info, "show a robot's joints and limits")
+    common.add_arm(info)
+    doctor = common.add_command(commands, "doctor", run_doctor, "list what is missing, impossible or assumed in a robot's file")
+    common.add_robot(doctor)
+    doctor.add_argument("--tip", help="site, body or geom at the end of the chain")
+    doctor.add_argument("--base", help="body at the start of the chain")
+    doctor.add_argument("--srdf", help="path of an SRDF")
+    doctor.add_argument("--hold-base", action="store_true", help="fix the base of a floating or walking robot at its keyframe")
+    for parser in (robots, chains, info, doctor):
+        common.add_json(parser)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
+def list_robots(args: argparse.Namespace) -> int:
+    """The robots that have a name, or the ratings of all data sheets."""
     if args.ratings:
         _print_ratings(args)
     else:
         _print_names(args)
-    return DONE
+    return common.DONE
+
+
+def list_chains(args: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from armctl.analysis.describe import describe_chains
+    from armctl.loading.load import chains
+
+    found = chains(args.robot)
+    common.print_result(args, describe_chains(args.robot, found), [asdict(chain) for chain in found])
+    return common.DONE
+
+
+def show_info(args: argparse.Namespace) -> int:
+    from armctl.analysis.describe import describe, facts
+
+    arm = common.load_arm(args)
+    common.print_result(args, describe(arm), facts(arm))
+    return common.DONE
+
+
+def run_doctor(args: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from armctl.analysis.diagnose import diagnose
+
+    found = diagnose(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base, srdf=args.srdf)
+    payload = found.payload if found else None
+    figures = {"name": found.name, "payload": payload, "findings": [asdict(f) for f in found.findings]}
+    common.print_result(args, str(found), figures, found.reason)
+    return common.DONE if found else common.NOT_REACHED
 
 
 def _print_names(args: argparse.Namespace) -> None:
@@ -33,12 +74,11 @@ def _print_names(args: argparse.Namespace) -> None:
     width = max(map(len, known))
     lines = [f"{name:{width}}  {text}{'  [on this machine]' if here[name] else ''}" for name, text in known.items()]
     rows = [{"name": name, "description": text, "on_this_machine": here[name]} for name, text in known.items()]
-    print_result(args, "\n".join(lines), rows)
+    common.print_result(args, "\n".join(lines), rows)
 
 
 def _print_ratings(args: argparse.Namespace) -> None:
-    """The ratings of all data sheets."""
-    from armctl.loading.ratings import rated_arms, ratings_table
+    from armctl.loading.datasheets import rated_arms, ratings_table
 
     rows = [
         {
@@ -50,4 +90,4 @@ def _print_ratings(args: argparse.Namespace) -> None:
         }
         for name, row in rated_arms().items()
     ]
-    print_result(args, ratings_table().text(), rows)
+    common.print_result(args, ratings_table().text(), rows)

@@ -9,7 +9,6 @@ from armctl.cli import common
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "simulate", run, "simulate the arm under constant motor controls")
     common.add_arm(parser)
     parser.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control per motor; torque = gear x control")
@@ -19,7 +18,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     from armctl.analysis.describe import describe_end
     from armctl.analysis.plot import four_panels
     from armctl.core.atomic import file_path

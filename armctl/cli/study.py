@@ -20,7 +20,6 @@ _CONNECT_TIMEOUT_S = 30
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(
         commands, "study", run, "simulate many runs over factors and controllers; a second start continues"
     )
@@ -37,7 +36,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     from armctl.study.study import Study
 
     if args.workers is not None and args.workers < 1:

@@ -25,7 +25,6 @@ _LARGE_BUFFER_BYTES = 128 * 1024
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "view", run, "drag a target in the browser; the arm follows it")
     common.add_arm(parser, several_scenes=True)
     parser.add_argument(
@@ -48,7 +47,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     from armctl import viewer
     from armctl.loading import catalog
 

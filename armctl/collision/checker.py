@@ -38,7 +38,6 @@ class CollisionChecker:
 
     Attributes:
         geometry: The geoms and pairs.
-        not_convex: Names of height fields and other geoms that no proof covers.
     """
 
     def __init__(
@@ -50,15 +49,8 @@ class CollisionChecker:
     ):
         """Finds the geoms, and learns which pairs always touch.
 
-        Args:
-            arm: The arm, or several as one.
-            qpos: (nq,) where everything is; home if left out. The arm's own part matters only for what is held.
-            allow: Pairs of names of bodies or geoms that may touch.
-            held: Bodies that the arm carries, and the body that carries each.
-
-        Raises:
-            InputError: `allow` is no list of pairs.
-            UnknownNameError: The model has no body or geom of a name in `allow`.
+        `qpos` (nq,) is where everything is, home if left out; the arm's own part matters only for what is `held`:
+        bodies that the arm carries, and the body that carries each. `allow` has pairs of names that may touch.
         """
         self._model = arm.model
         self._joint_map = arm.joint_map
@@ -71,7 +63,7 @@ class CollisionChecker:
         self._set(geometry.with_pairs(np.array(keep, bool)))
         self._set(self.geometry.with_pairs(~self._touch_by_design()))
         self._set(self.geometry.with_pairs(~self._proved_by_one_joint()))
-        self.not_convex = self._not_convex_geoms()
+        self.not_convex = self._not_convex_geoms()  # names of height fields and other geoms that no proof covers
 
     def proof(self, keep: KeptAxis | None = None) -> ClearanceProof:
         """The proofs of this thread, with an axis that must keep its direction."""
@@ -90,11 +82,7 @@ class CollisionChecker:
         self._memory.scene.forget()
 
     def tilts(self, hit: Hit) -> bool:
-        """Whether a proof stopped because the kept axis tilts, and not because a pair is too near.
-
-        Args:
-            hit: Where it stopped.
-        """
+        """Whether a proof stopped because the kept axis tilts, and not because a pair is too near."""
         return hit.pair == len(self.geometry.pairs)
 
     def _set(self, geometry: Geometry) -> None:
@@ -102,15 +90,7 @@ class CollisionChecker:
         self._memory = _Memory(geometry)
 
     def at(self, q: Array, clearance: float = 0.0) -> str:
-        """What touches what at a configuration.
-
-        Args:
-            q: (n,) rad.
-            clearance: m that counts as touching.
-
-        Returns:
-            Such as "link7 touches floor"; empty where nothing touches.
-        """
+        """What touches, or is nearer than a clearance, m, at q (n,), such as "link7 touches floor"; empty if nothing does."""
         pair = self.hit(q, clearance)
         if pair >= 0:
             first, second = self.names(pair)
@@ -118,62 +98,30 @@ class CollisionChecker:
         return self._touches_not_convex(q) if self.not_convex else ""
 
     def along(self, path: Array) -> str:
-        """The first contact at the points of a path.
-
-        Args:
-            path: (T, n) rad.
-
-        Returns:
-            As for `at`.
-        """
+        """The first contact at the points of a path (T, n), as for `at`."""
         return next(filter(None, map(self.at, path)), "")
 
     def hit(self, q: Array, clearance: float = 0.0) -> int:
-        """A pair that is not farther apart than the clearance at a configuration, or -1.
-
-        Args:
-            q: (n,) rad.
-            clearance: m.
-        """
+        """A pair that is not farther apart than the clearance, m, at q (n,), or -1."""
         pair = self._memory.scene.first_hit(_contiguous(q), clearance)
         return pair if pair < len(self.geometry.pairs) else -1
 
     def nearest(self, q: Array) -> tuple[int, float]:
-        """The pair that is nearest to touching, or -1 where there is no pair, and its distance.
+        """The row of the pair that is nearest to touching at q (n,), or -1 where there is no pair, and its distance, m.
 
-        Args:
-            q: (n,) rad.
-
-        Returns:
-            The pair's row, and m; zero or less if it overlaps, then not the depth.
+        The distance is zero or less if it overlaps, then not the depth.
         """
         nearest = self._memory.scene.nearest_pair(_contiguous(q))
         return (nearest.pair if nearest.pair < len(self.geometry.pairs) else -1), nearest.distance
 
     def depth(self, q: Array, pair: int) -> float:
-        """How deep a pair overlaps at a configuration: the shortest of many displacements that part it.
-
-        Args:
-            q: (n,) rad.
-
-        Returns:
-            m, an upper bound; negative if the geoms are apart.
-        """
+        """How deep, m, a pair overlaps at q (n,): the shortest of many displacements that part it; negative if it is apart."""
         return self._memory.scene.overlap_depth(_contiguous(q), pair)
 
     def near(self, q: Array, moves: Array, share: float, clearances: Array) -> NearPairs:
-        """The pairs that a small motion can bring nearer by more than a share of what is free.
+        """The pairs that a motion by at most `moves` (n,) rad can bring nearer by more than a share of what is free.
 
-        What is free of a pair is its distance less its clearance. The result does not depend on earlier queries.
-
-        Args:
-            q: (n,) rad.
-            moves: (n,) rad, how far each joint moves at most.
-            share: From 0 to 1.
-            clearances: (K,) m of each pair.
-
-        Returns:
-            The pairs, their distances and derivatives.
+        What is free of a pair is its distance less its clearance (K,) m. The result does not depend on earlier queries.
         """
         scene = self._memory.scene
         scene.forget()
@@ -183,41 +131,24 @@ class CollisionChecker:
         return near
 
     def line_hit(self, start: Array, end: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
-        """Proves that the straight line between two configurations keeps more than a clearance.
+        """Proves that the straight line between two configurations (n,) keeps more than a clearance, m.
 
-        Args:
-            start: (n,) rad.
-            end: (n,) rad.
-            clearance: m.
-
-        Returns:
-            None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
+        None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
         """
         proof = self.proof(keep)
         self._set_line(proof, self._joint_map.positions(start), self._joint_map.positions(end))
         return proof.hit(clearance)
 
     def motion_hit(self, knots: Array, coefficients: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
-        """Proves that a motion of piecewise polynomials keeps more than a clearance at all times.
+        """Proves that a motion of piecewise polynomials keeps more than a clearance, m, at all times.
 
-        Args:
-            knots: (K + 1,) s.
-            coefficients: (K, degree + 1, n), each piece's by powers of the time since its knot.
-            clearance: m.
-
-        Returns:
-            None if it does; else the pair and the time at which it is not known to be free.
+        None if it does; else the pair and the time at which it is not known to be free. `coefficients` (K, degree + 1,
+        n) are those of powers of the time since each of the `knots` (K + 1,) s.
         """
         return self._proof_of(knots, coefficients, keep).hit(clearance)
 
     def closest_approach(self, knots: Array, coefficients: Array, clearance: float, keep: KeptAxis | None = None) -> Approach:
-        """Proves that a motion keeps more than a clearance, and how near it comes.
-
-        Args:
-            knots: As for `motion_hit`.
-            coefficients: As for `motion_hit`.
-            clearance: m.
-        """
+        """As `motion_hit`, and how near the motion comes."""
         return self._proof_of(knots, coefficients, keep).closest_approach(clearance)
 
     def _proof_of(self, knots: Array, coefficients: Array, keep: KeptAxis | None) -> ClearanceProof:
@@ -239,11 +170,7 @@ class CollisionChecker:
         return geom_owner_name(self._model, first), geom_owner_name(self._model, second)
 
     def require_provable(self) -> None:
-        """Makes sure that proofs cover everything.
-
-        Raises:
-            ModelError: A geom that the arm could touch is not convex.
-        """
+        """Raises ModelError if the arm could touch a geom that is not convex, which proofs do not cover."""
         if self.not_convex:
             raise ModelError(
                 f"{self.not_convex[0]}: a height field or signed distance field, for which no clearance can be proved; "

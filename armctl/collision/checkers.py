@@ -12,8 +12,7 @@ import numpy as np
 from armctl.collision.checker import CollisionChecker, allowed_geoms
 from armctl.collision.interface import KeptAxis, MovingJoints
 from armctl.core.errors import InputError, UnknownNameError
-from armctl.core.validation import Array, IntArray, number, shown
-from armctl.mjmodel.queries import last_joint_above
+from armctl.core.validation import Array, number, shown
 from armctl.robot.arm import Arm
 
 
@@ -31,32 +30,13 @@ _MAX_KEEP_WITHIN_RAD = 0.5 * np.pi
 
 
 def read_kept_axis(arm: Arm, keep: str | None, keep_within: float, q: Array) -> KeptAxis | None:
-    """The axis of the tip that keeps the direction it has at a configuration.
-
-    Args:
-        keep: "x", "y" or "z"; None for none.
-        keep_within: rad that it may tilt.
-        q: (n,) rad.
-
-    Raises:
-        InputError: `keep_within` is no number from 0.001 to pi / 2.
-        UnknownNameError: There is no such axis.
-    """
+    """The axis of the tip, "x", "y" or "z", that keeps the direction it has at q (n,) within an angle, rad; None for None."""
     within = number("keep_within", keep_within, _MIN_KEEP_WITHIN_RAD, _MAX_KEEP_WITHIN_RAD)
     if keep is None:
         return None
     if not isinstance(keep, str) or keep not in ("x", "y", "z"):
         raise UnknownNameError.of("axis to keep", f"{keep!s:.80}", ["x", "y", "z"])
     return KeptAxis(keep, arm.tip_body, q, arm.fk(q).rotation[:, "xyz".index(keep)], within)
-
-
-def geom_owners(arm: Arm) -> IntArray:
-    """Which joint of the chain moves each geom.
-
-    Returns:
-        (ngeom,) the last joint above it, counted from the base; -1 where none is.
-    """
-    return np.array(last_joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
 
 
 # The checkers that were used last, of each arm. One of them takes about 0.5 MB.
@@ -71,14 +51,7 @@ def collision_checker(
     allow: Iterable[tuple[str, str]] = (),
     held: Mapping[int, int] | None = None,
 ) -> CollisionChecker:
-    """A checker of an arm in its scene. Those that were used last are kept with the arm.
-
-    Args:
-        arm: The arm, or several as one.
-        qpos: As for `CollisionChecker`, like all that follow.
-        allow: Pairs of names.
-        held: Bodies that the arm carries.
-    """
+    """As `CollisionChecker(...)`; those of an arm that were used last are kept with it."""
     allow = read_pairs(allow)
     carried = dict(held or {})
     where = b"" if qpos is None else np.array(qpos).tobytes()

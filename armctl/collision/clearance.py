@@ -26,28 +26,18 @@ class PiecewiseTrajectory(Protocol):
     """A trajectory of polynomial pieces, such as every planner of armctl returns."""
 
     @property
-    def knots(self) -> Array:
-        """(K + 1,) s."""
-        ...
+    def knots(self) -> Array: ...  # (K + 1,) s
 
     @property
-    def coefficients(self) -> Array:
-        """(K, degree + 1, n) of each piece, by powers of the time since its knot."""
-        ...
+    def coefficients(self) -> Array: ...  # (K, degree + 1, n) of each piece, by powers of the time since its knot
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The n joints."""
-        ...
+    def joint_names(self) -> tuple[str, ...]: ...
 
     @property
-    def duration(self) -> float:
-        """s."""
-        ...
+    def duration(self) -> float: ...  # s
 
-    def __call__(self, t: float) -> Setpoint:
-        """The setpoint at a time, s."""
-        ...
+    def __call__(self, t: float) -> Setpoint: ...
 
 
 @dataclass(frozen=True)
@@ -132,14 +122,7 @@ def check_clearance(
 def clearance_of(
     checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptAxis | None = None
 ) -> ClearanceCheck:
-    """As `check_clearance`, with a checker that is at hand.
-
-    Args:
-        clearance: m.
-
-    Raises:
-        ModelError: As for `check_clearance`.
-    """
+    """As `check_clearance`, with a checker that is at hand."""
     checker.require_provable()
     if trajectory.coefficients.shape[1] > MAX_DEGREE + 1:
         raise InputError(

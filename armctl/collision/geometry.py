@@ -34,15 +34,10 @@ _ROUNDING = 1.0 + 1e-12  # bounding spheres are computed with rounding errors
 
 
 class Edges(NamedTuple):
-    """Which vertices of a hull share an edge.
+    """Which vertices of a hull share an edge."""
 
-    Attributes:
-        counts: (P,) how many neighbors each vertex has.
-        neighbors: The neighbors of the first vertex, then those of the second, and so on.
-    """
-
-    counts: IntArray
-    neighbors: IntArray
+    counts: IntArray  # (P,) how many neighbors each vertex has
+    neighbors: IntArray  # the neighbors of the first vertex, then those of the second, and so on
 
     @classmethod
     def unknown(cls, vertices: Array) -> Edges:
@@ -51,53 +46,30 @@ class Edges(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """One geom at the reference configuration.
+    """One geom at the reference configuration."""
 
-    Attributes:
-        kind: How the core finds its support points.
-        frame: The frame that moves it, 0 if it stands.
-        position: (3,) m, of the geom.
-        rotation: (3, 3) of the geom.
-        size: (3,) m, half sizes of a box or an ellipsoid; radius and half length of a cylinder.
-        vertices: (P, 3) m, of a hull or a box.
-        inflation: m by which the vertices are inflated: the radius of a sphere or capsule.
-        center: (3,) m, of its bounding sphere.
-        bound: m, the radius of its bounding sphere.
-        edges: The edges of a mesh, by which the core searches large hulls.
-    """
-
-    kind: ShapeKind
-    frame: int
-    position: Array
-    rotation: Array
-    size: Array
-    vertices: Array
-    inflation: float
-    center: Array
-    bound: float
-    edges: Edges
+    kind: ShapeKind  # how the core finds its support points
+    frame: int  # the frame that moves it, 0 if it stands
+    position: Array  # (3,) m, of the geom
+    rotation: Array  # (3, 3) of the geom
+    size: Array  # (3,) m, half sizes of a box or an ellipsoid; radius and half length of a cylinder
+    vertices: Array  # (P, 3) m, of a hull or a box
+    inflation: float  # m by which the vertices are inflated: the radius of a sphere or capsule
+    center: Array  # (3,) m, of its bounding sphere
+    bound: float  # m, the radius of its bounding sphere
+    edges: Edges  # the edges of a mesh, by which the core searches large hulls
 
 
 class Frames(NamedTuple):
-    """One frame for each of the m joints that move, numbered from 1; frame 0 is the world.
+    """One frame for each of the m joints that move, numbered from 1; frame 0 is the world."""
 
-    Attributes:
-        axes: (m, 3) of the joints, in the world at the reference configuration.
-        anchors: (m, 3) m, a point on each axis.
-        slides: (m,) whether a joint slides.
-        references: (m,) rad, the joint positions of the reference configuration.
-        parents: (m,) the frames above.
-        joints: (m,) the row of each joint in the joint map.
-        of_body: (nbody,) the frame of each body.
-    """
-
-    axes: Array
-    anchors: Array
-    slides: IntArray
-    references: Array
-    parents: IntArray
-    joints: IntArray
-    of_body: IntArray
+    axes: Array  # (m, 3) of the joints, in the world at the reference configuration
+    anchors: Array  # (m, 3) m, a point on each axis
+    slides: IntArray  # (m,) whether a joint slides
+    references: Array  # (m,) rad, the joint positions of the reference configuration
+    parents: IntArray  # (m,) the frames above
+    joints: IntArray  # (m,) the row of each joint in the joint map
+    of_body: IntArray  # (nbody,) the frame of each body
 
     def depths(self) -> IntArray:
         """(m + 1,) how many frames are above each, the world included."""
@@ -117,30 +89,17 @@ class Frames(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """What an arm could touch, and the model of it in the compiled core.
+    """What an arm could touch, and the model of it in the compiled core."""
 
-    Attributes:
-        geom_ids: (G,) the model's geoms in the order of the shapes.
-        shapes: Their shapes.
-        frames: What moves them.
-        arrays: What the core takes, without the pairs.
-        core: The model in the core.
-        pairs: (K, 2) the shapes of each pair, in the order of the groups: the geoms of a frame, or one that stands.
-    """
-
-    geom_ids: IntArray
-    shapes: Sequence[Shape]
-    frames: Frames
-    arrays: dict[str, Any]
-    core: CollisionModel
-    pairs: IntArray
+    geom_ids: IntArray  # (G,) the model's geoms in the order of the shapes
+    shapes: Sequence[Shape]  # their shapes
+    frames: Frames  # what moves them
+    arrays: dict[str, Any]  # what the core takes, without the pairs
+    core: CollisionModel  # the model in the core
+    pairs: IntArray  # (K, 2) the shapes of each pair, in the order of the groups: the geoms of a frame, or one that stands
 
     def with_pairs(self, keep: BoolArray) -> Geometry:
-        """The same geometry with fewer pairs.
-
-        Args:
-            keep: (K,) which pairs stay.
-        """
+        """The same geometry with the pairs that `keep` (K,) marks."""
         return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs[keep])
 
     def joints_between(self, pair: int) -> list[int]:
@@ -150,7 +109,6 @@ class Geometry:
         return [int(self.frames.joints[frame - 1]) for frame in first ^ second]
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
-        """The model's geoms of a pair."""
         first, second = self.geom_ids[self.pairs[pair]].tolist()
         return first, second
 
@@ -161,10 +119,9 @@ def is_convex(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def colliding_pairs(model: mujoco.MjModel) -> IntArray:
-    """The pairs of geoms that MuJoCo tests for contacts: by their bits, parents and exclusions, and those that are listed.
+    """(K, 2) the pairs of geoms that MuJoCo tests for contacts, the lesser first.
 
-    Returns:
-        (K, 2), the lesser geom first.
+    By their bits, parents and exclusions, and those that are listed.
     """
     disabled = int(model.opt.disableflags)
     if disabled & (int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)):
@@ -192,16 +149,10 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
 
 
 def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held: dict[int, int] | None = None) -> Geometry:
-    """The geoms that an arm could touch, or touch something with.
+    """The convex geoms that an arm could touch, or touch something with, in every pair that its motion can change.
 
-    Args:
-        joint_map: The hinges and slides that move; all others stay where qpos has them.
-        qpos: (nq,) the reference configuration.
-        held: Bodies that are carried, and the body that carries each.
-
-    Returns:
-        The geometry, with every pair that MuJoCo tests and that the arm's motion can change. Geoms that are not convex are left
-        out.
+    All joints outside the joint map stay where `qpos` (nq,) has them. `held` are bodies that are carried, and the body that
+    carries each.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -279,10 +230,9 @@ def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dic
 
 
 def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
-    """A small sphere around spheres (N, 3) and (N,): M. Badoiu, K. L. Clarkson, "Smaller core-sets for balls", SODA 2003.
+    """Center (3,) and radius of a small sphere around spheres (N, 3) and (N,).
 
-    Returns:
-        Its center (3,) and radius, m.
+    M. Badoiu, K. L. Clarkson, "Smaller core-sets for balls", SODA 2003.
     """
     columns = np.ascontiguousarray(centers.T)
     center = 0.5 * (centers.min(axis=0) + centers.max(axis=0))

@@ -12,60 +12,43 @@ from armctl.robot.joint_map import JointMap
 
 
 class MovingJoints(Protocol):
-    """What a checker needs of an arm, or of several: the joints that move, their limits, and where everything is at home."""
+    """What checks and planning need of an arm, or of several: the joints that move, and where everything is at home."""
 
     @property
-    def model(self) -> mujoco.MjModel:
-        """The compiled model."""
-        ...
+    def model(self) -> mujoco.MjModel: ...
 
     @property
-    def joint_map(self) -> JointMap:
-        """The joints that move."""
-        ...
+    def joint_names(self) -> tuple[str, ...]: ...  # the n joints
 
     @property
-    def limits(self) -> Limits:
-        """Their limits."""
-        ...
+    def joint_map(self) -> JointMap: ...
 
     @property
-    def home(self) -> Array:
-        """(n,) rad."""
-        ...
+    def limits(self) -> Limits: ...
 
     @property
-    def home_qpos(self) -> Array:
-        """(nq,)."""
-        ...
+    def units(self) -> tuple[str, ...]: ...  # what each joint is measured in
+
+    @property
+    def home(self) -> Array: ...  # (n,) rad
+
+    @property
+    def home_qpos(self) -> Array: ...  # (nq,)
 
 
 class KeptAxis(NamedTuple):
-    """An axis of the tip that keeps its direction.
+    """An axis of the tip that keeps its direction."""
 
-    Attributes:
-        name: "x", "y" or "z".
-        q: (n,) rad, where it has the direction that it keeps.
-        direction: (3,) of the world.
-        within: rad that it may tilt.
-    """
-
-    name: str
+    name: str  # "x", "y" or "z"
     body: int
-    q: Array
-    direction: Array
-    within: float
+    q: Array  # (n,) rad, where it has the direction that it keeps
+    direction: Array  # (3,) of the world
+    within: float  # rad that it may tilt
 
 
 class NearPairs(NamedTuple):
-    """Pairs that are close.
+    """Pairs that are close."""
 
-    Attributes:
-        pairs: (k,) their rows in the checker's geometry.
-        distances: m, (k,) negative where a pair overlaps.
-        gradients: m/rad, (k, n) the derivatives of the distances by the joints.
-    """
-
-    pairs: IntArray
-    distances: Array
-    gradients: Array
+    pairs: IntArray  # (k,) their rows in the checker's geometry
+    distances: Array  # m, (k,) negative where a pair overlaps
+    gradients: Array  # m/rad, (k, n) the derivatives of the distances by the joints

@@ -18,6 +18,7 @@ _PERIODS_S = (0.001, 0.002, 0.004)
 # Gravity stiffness / stiffness. A loop that compensates gravity has this sensitivity at low frequency, and more where it peaks.
 _MAX_GRAVITY_RATIO = 0.5
 _MIN_FREQUENCY = 0.5  # rad/s
+_MAX_FREQUENCY = 0.99 * np.pi  # rad per control period
 _FREQUENCIES = 60
 
 
@@ -52,19 +53,20 @@ def margin_exceptions(arm: Arm) -> tuple[str, ...]:
 def _pd_peak_sensitivity(arm: Arm, dt: float) -> float:
     """The largest sensitivity of a joint under the default PD, with and without gravity compensation, the other joints closed.
 
-    In continuous time, with a delay of half a control period; at sampled configurations. 1 if gravity plays no role.
+    In MuJoCo's steps, whose damping acts at the end of a step, at sampled configurations.
     """
     gains = margin_gains(arm, dt)
-    if gains.gravity_excess == 1.0:
-        return 1.0
     sampled = sampled_inertia(arm)
+    damping = np.diag(sampled.damping)
     largest = 0.0
-    for w in np.geomspace(_MIN_FREQUENCY, 1 / dt, _FREQUENCIES):
-        s = 1j * w
-        compliance = np.linalg.inv(s * s * sampled.mass + sampled.gravity_stiffness + s * np.diag(sampled.damping))
-        pd = np.diag(gains.stiffness + s * gains.damping)
+    for w in np.geomspace(_MIN_FREQUENCY, _MAX_FREQUENCY / dt, _FREQUENCIES):
+        rate = (1 - np.exp(-1j * w * dt)) / dt  # of a velocity to its position
+        acceleration = rate * (np.exp(1j * w * dt) - 1) / dt
+        inertia = acceleration * (sampled.mass + dt * damping) + rate * damping
+        compliance = np.linalg.inv(inertia + sampled.gravity_stiffness)
+        pd = np.diag(gains.stiffness + rate * gains.damping)
         for feedback in (pd, pd - sampled.gravity_stiffness):
-            sensitivity = np.linalg.inv(np.eye(arm.n) + feedback @ compliance * np.exp(-0.5 * s * dt))
+            sensitivity = np.linalg.inv(np.eye(arm.n) + feedback @ compliance)
             largest = max(largest, float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max()))
     return largest
 

@@ -15,8 +15,8 @@ from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
-DEFAULT_HORIZON_S = 0.15
-_BLOCKS = 6  # of the horizon
+DEFAULT_HORIZON_S = 0.25
+_BLOCKS = 8  # of the horizon
 _GROWTH = 1.4  # of their lengths: what is far ahead may be coarse
 _MIN_BLOCK_TICKS = 2
 
@@ -27,26 +27,30 @@ class MPCCounts(NamedTuple):
     Attributes:
         ticks: All ticks.
         planned: Those in which the motion of computed torque would have exceeded a limit within the horizon.
-        unplanned: Those of them without a plan, in which the program of the tick alone acts: no plan keeps all limits, or the
-            error is so large that its feedback asks for more than the limit of velocity.
+        unplanned: Those of them without a plan: the solver found none, and the last plan goes on; or the error is so large that
+            its feedback asks for more than the limit of velocity. The program of the tick alone then keeps the limits.
+        relaxed: Those of them whose plan exceeds limits of velocity or position by the least, because limits contradict each
+            other.
     """
 
     ticks: int
     planned: int
     unplanned: int
+    relaxed: int
 
 
 class MPC(ComputedTorqueQP):
     """Model predictive control: plans the acceleration over a horizon, within the limits of torque, velocity and position.
 
     While the motion of computed torque respects all limits within the horizon, the law is computed torque. Otherwise a
-    quadratic program adds accelerations c, linear in each of six blocks of the horizon, that minimize what the limits add to
+    quadratic program adds accelerations c, linear in each of eight blocks of the horizon, that minimize what the limits add to
     the quadratic cost of the tip's errors (see `armctl/cpp/laws/mpc.hpp`). The model is that of inverse dynamics, linearized
     along the predicted motion at every tick. A simulation passes the reference of the next ticks on, so the arm accelerates
     before a torque limit becomes active; without it, the reference is extrapolated at constant velocity.
 
-    The program of `ComputedTorqueQP` then keeps the limits of the tick itself, and brakes before the end of a joint's range:
-    also where there is no plan, which `counts` reports. A reference outside of the range of a joint is moved to its end.
+    The program of `ComputedTorqueQP` then keeps the limits of the tick itself, and brakes before the end of a joint's range.
+    `counts` reports limits that contradict each other, and ticks without a plan. A reference outside of the range of a joint is
+    moved to its end.
 
     Attributes:
         bandwidth: rad/s.
@@ -88,7 +92,7 @@ class MPC(ComputedTorqueQP):
     def counts(self) -> MPCCounts:
         """How often limits acted in the present or last run."""
         law = self._law
-        return MPCCounts(*(law.counts.astype(int).tolist() if isinstance(law, _core.MPC) else (0, 0, 0)))
+        return MPCCounts(*(law.counts.astype(int).tolist() if isinstance(law, _core.MPC) else 4 * (0,)))
 
     def foresee(self, ahead: TickReference) -> None:
         """Takes the reference of the coming ticks for the next call of `torque`. A simulation does this by itself.

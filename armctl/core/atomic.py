@@ -14,15 +14,7 @@ from armctl.core.validation import shown
 
 
 def file_path(what: str, path: str | os.PathLike[str], endings: Sequence[str] = ()) -> Path:
-    """Checks the name of a file.
-
-    Args:
-        what: The name of the argument, for the error.
-        endings: The endings that are possible, such as ".npz"; any if left out.
-
-    Raises:
-        InputError: It is not the name of a file, or it has another ending.
-    """
+    """The path in an argument called `what`; InputError if it is no name of a file, or ends in none of the `endings`."""
     try:
         text = os.fspath(path)
         out = Path(text)
@@ -41,15 +33,10 @@ def file_path(what: str, path: str | os.PathLike[str], endings: Sequence[str] = 
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path in the same folder, which replaces `path` when the block ends without an exception.
 
-    The folder of `path` is made. The temporary file has the same suffix, so that writers can tell the format from it; it is
-    flushed to the disk before it replaces `path`, and removed if the block raises. The new file keeps the permissions of the
-    old one. A link is followed. What is no regular file, such as a pipe or /dev/null, is written directly.
-
-    Yields:
-        The temporary path; the block must create that file.
-
-    Raises:
-        ArmctlError: The file cannot be written.
+    The folder of `path` is made. The temporary file, which the block creates, has the same suffix, so that writers can tell
+    the format from it; it is flushed to the disk before it replaces `path`, and removed if the block raises. The new file
+    keeps the permissions of the old one. A link is followed. What is no regular file, such as a pipe or /dev/null, is
+    written directly. ArmctlError if the file cannot be written.
     """
     final = Path(os.path.realpath(path))
     temporary = final.with_name(f".{final.stem[:100]}.{secrets.token_hex(4)}{final.suffix}")
@@ -74,7 +61,6 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a text file atomically, in UTF-8."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

@@ -23,15 +23,7 @@ def source_checksum(folder: str) -> int:
 
 
 def build_problem(extension: str, checksum: int) -> str:
-    """What is wrong with a build of the compiled core; the extension asks when it is imported, and raises it as an ImportError.
-
-    Args:
-        extension: Path of the extension.
-        checksum: The checksum of the sources that it was built from.
-
-    Returns:
-        One sentence, or an empty string if the sources beside the extension are the same, or if there are none.
-    """
+    """What is wrong with an extension built from sources with this checksum, for an ImportError; empty if nothing is."""
     folder = os.path.join(os.path.dirname(extension), "cpp")
     if not os.path.isdir(folder) or source_checksum(folder) == checksum:
         return ""

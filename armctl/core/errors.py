@@ -59,9 +59,6 @@ class UnknownNameError(ArmctlError, LookupError):
             name: The unknown name.
             known: The known names.
             lister: A command that lists the known names.
-
-        Returns:
-            The error, for the caller to raise.
         """
         if not isinstance(name, str):
             return cls(f"{kind}: {shown(name)} is not a name")
@@ -92,9 +89,6 @@ class NotInstalledError(ArmctlError):
         Args:
             what: What is missing, such as "an .mp4 needs an encoder".
             extra: Name of the extra.
-
-        Returns:
-            The error, to be raised by the caller.
         """
         return cls(f"{what}; install armctl with its extra [{extra}], in a clone: .venv/bin/pip install -e '.[{extra}]'")
 

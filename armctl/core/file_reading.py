@@ -25,15 +25,9 @@ def shown_path(path: str | os.PathLike[str]) -> str:
 
 @contextmanager
 def reading(path: Path, fault: str, kind: type[ArmctlError] = InputError) -> Iterator[None]:
-    """Turns whatever the block raises about the content of a file into one sentence with its path.
+    """Turns whatever the block raises about the content of a file into one sentence with its path, of the given type.
 
-    Args:
-        fault: What is wrong if the content is, such as "no log that armctl wrote".
-        kind: ModelError for a model.
-
-    Raises:
-        ArmctlError: Of the given type: the file cannot be read, or it holds something else.
-        NotInstalledError: As the block raises it.
+    `fault` says what is wrong if the content is, such as "no log that armctl wrote".
     """
     try:
         with warnings.catch_warnings():
@@ -68,7 +62,6 @@ def read_npz(path: Path, max_bytes: int) -> dict[str, Any]:
 
 
 def check_size(size: int, max_bytes: int) -> None:
-    """Raises InputError if a content is too large."""
     if size > max_bytes:
         raise InputError(f"it is larger than {max_bytes // 10**6} MB")
 
@@ -83,7 +76,6 @@ def read_parquet(path: Path, max_bytes: int) -> Any:
 
 
 def pyarrow() -> tuple[Any, Any]:
-    """The modules pyarrow and pyarrow.parquet."""
     try:
         import pyarrow
         import pyarrow.parquet

@@ -20,17 +20,11 @@ _PAD_PERIODS = 1.0  # periods of the cut-off by which both ends are extended
 
 
 def choose_cutoff(positions: Array, dt: float) -> float:
-    """The cut-off of a zero-phase filter, from the spectrum of recorded positions.
+    """The cut-off, Hz, of a zero-phase filter, from the spectrum of positions (T, n) rad recorded every dt s.
 
-    Position noise has the level S of the spectrum (rad^2/Hz) above the motion's frequencies. Up to a cut-off f it becomes an
-    acceleration of RMS (2 pi)^2 sqrt(S f^5 / 5). The cut-off is where this is 2 % of the RMS acceleration of the motion.
-
-    Args:
-        positions: (T, n) rad, evenly spaced in time.
-        dt: s, the interval.
-
-    Returns:
-        Hz, the median of all joints, in [2, 25] Hz and at most 40 % of the Nyquist frequency.
+    Position noise has the level S of the spectrum (rad^2/Hz) above the motion's frequencies. Up to a cut-off f it becomes
+    an acceleration of RMS (2 pi)^2 sqrt(S f^5 / 5). The cut-off is where this is 2 % of the RMS acceleration of the motion:
+    the median of all joints, in [2, 25] Hz and at most 40 % of the Nyquist frequency.
     """
     nyquist = 0.5 / dt
     highest = min(_MAX_CUTOFF_HZ, _MAX_NYQUIST_SHARE * nyquist)
@@ -47,17 +41,10 @@ def choose_cutoff(positions: Array, dt: float) -> float:
 
 
 def velocity_cutoff(positions: Array, dt: float, noise_rms: float) -> float:
-    """The highest cut-off at which the velocity of recorded positions has little noise.
+    """The highest cut-off, Hz, at which the velocity of positions (T, n) has at most a noise (RMS, rad/s) in all joints.
 
-    Position noise of the level S of the spectrum (rad^2/Hz) becomes a velocity of RMS 2 pi sqrt(S f^3 / 3) up to a cut-off f.
-
-    Args:
-        positions: (T, n) rad, evenly spaced in time.
-        dt: s, the interval.
-        noise_rms: rad/s, the noise of the velocity.
-
-    Returns:
-        Hz, the lowest of all joints, at most 40 % of the Nyquist frequency.
+    Position noise of the level S of the spectrum (rad^2/Hz) becomes a velocity of RMS 2 pi sqrt(S f^3 / 3) up to a cut-off
+    f.
     """
     highest = _MAX_NYQUIST_SHARE * 0.5 / dt
     moves = np.ptp(positions, axis=0) > 0
@@ -93,7 +80,6 @@ def low_pass(columns: Array, cutoff: float, dt: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _sections(cutoff: float, dt: float) -> Array:
-    """The filter of `low_pass` in second-order sections."""
     from scipy.signal import butter
 
     return np.asarray(butter(_ORDER, cutoff, fs=1 / dt, output="sos"), dtype=np.float64)

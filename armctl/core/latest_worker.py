@@ -15,7 +15,6 @@ class LatestWorker:
     """One daemon thread. An order that has not begun is replaced by a newer one, so a flood of orders costs one thread."""
 
     def __init__(self, name: str):
-        """Starts the thread."""
         self._order: Callable[[], object] | None = None
         self._ordered = threading.Condition()
         self._closed = False

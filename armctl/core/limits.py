@@ -64,9 +64,6 @@ class Limits:
         Args:
             q: (n,) or (T, n) rad.
             tolerance: rad by which they may be outside.
-
-        Raises:
-            InputError: The positions are not numbers, or not of n joints.
         """
         tolerance = number("tolerance", tolerance, 0.0)
         q = self._positions(q)
@@ -114,13 +111,7 @@ class Limits:
         """The limits for motions at a fraction of the full speed: the same motions, slowed down in time by 1/speed.
 
         Args:
-            speed: In (0, 1]; it scales v_max by speed, a_max by speed^2 and j_max by speed^3.
-
-        Returns:
-            The limits; positions and torques are unchanged.
-
-        Raises:
-            InputError: The speed is not in (0, 1].
+            speed: In (0, 1]; it scales v_max by speed, a_max by speed^2 and j_max by speed^3, and nothing else.
         """
         speed = check_speed(speed)
         if speed == 1.0:
@@ -158,15 +149,10 @@ def check_speed(speed: float) -> float:
 def smallest_configuration(
     limits: Limits, score: Callable[[Array], float], starts: Sequence[Array], steps: int, rng: np.random.Generator
 ) -> Array:
-    """The configuration with the smallest score that random steps find, without gradients.
+    """The configuration (n,) rad with the smallest score that random steps find, without gradients.
 
-    An evolution strategy of one parent and one child from each start (Rechenberg, Evolutionsstrategie, 1973).
-
-    Args:
-        limits: Of the configurations.
-        score: A figure of a configuration (n,) rad; one that is not finite is no improvement.
-        starts: Configurations, rad.
-        steps: Evaluations per start, besides that of the start.
+    An evolution strategy of one parent and one child from each start, with so many steps (Rechenberg, Evolutionsstrategie,
+    1973). A score that is not finite is no improvement.
     """
     width = np.minimum(limits.q_max - limits.q_min, 2 * np.pi)
     low = limits.q_min + _DISTANCE_FROM_LIMITS * width

@@ -10,21 +10,14 @@ from armctl.core.validation import Array
 
 
 class Quantity(NamedTuple):
-    """An array over time.
+    """An array over time."""
 
-    Attributes:
-        unit: The unit of its columns, in which "joint" stands for rad or m, and "torque" for N m or N.
-        axes: The names of its columns; empty for one column per joint, or per position of the model.
-        is_optional: Whether a log may lack it.
-    """
-
-    unit: str
-    axes: tuple[str, ...] = ()
-    is_optional: bool = False
+    unit: str  # the unit of its columns, in which "joint" stands for rad or m, and "torque" for N m or N
+    axes: tuple[str, ...] = ()  # the names of its columns; empty for one column per joint, or per position of the model
+    is_optional: bool = False  # whether a log may lack it
 
     @property
     def is_per_joint(self) -> bool:
-        """Whether it has a column per joint."""
         return self.unit.startswith(("joint", "torque"))
 
 

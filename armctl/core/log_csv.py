@@ -42,44 +42,24 @@ _MAX_VALUE = 1e9  # SI units; more is a damaged number
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A recording on an even time grid.
+    """A recording on an even time grid."""
 
-    Attributes:
-        joint_names: The n names of the position columns.
-        units: The unit of each joint, "rad" or "m".
-        dt: s, the interval of the grid.
-        t: (T,) s, from 0.
-        q: (T, n) rad, not filtered.
-        v: (T, n) rad/s, of the filtered positions.
-        tau: (T, n) N m, not filtered.
-        cutoff: Hz, of the zero-phase filter.
-        repeated: The number of repeated rows that were left out.
-    """
-
-    joint_names: tuple[str, ...]
-    units: tuple[str, ...]
-    dt: float
-    t: Array
-    q: Array
-    v: Array
-    tau: Array
-    cutoff: float
-    repeated: int
+    joint_names: tuple[str, ...]  # the n names of the position columns
+    units: tuple[str, ...]  # the unit of each joint, "rad" or "m"
+    dt: float  # s, the interval of the grid
+    t: Array  # (T,) s, from 0
+    q: Array  # (T, n) rad, not filtered
+    v: Array  # (T, n) rad/s, of the filtered positions
+    tau: Array  # (T, n) N m, not filtered
+    cutoff: float  # hz, of the zero-phase filter
+    repeated: int  # the number of repeated rows that were left out
 
     def __str__(self) -> str:
         return f"a recording; {self.repeated} repeated rows left out, velocity by a zero-phase filter of {self.cutoff:.3g} Hz"
 
 
 def read_recording(path: str | os.PathLike[str], columns: Columns | None, units: Units | None) -> Recording:
-    """Reads a CSV file of a real robot.
-
-    Args:
-        columns: The names of the columns of "t", "q" and "tau"; see `Log.from_csv`.
-        units: The units of "t", "q" and "tau"; those of "q" and "tau" may be lists of one unit per joint.
-
-    Raises:
-        InputError: The file cannot be read, a column is missing, or the numbers are no recording.
-    """
+    """Reads a recording; `Log.from_csv` explains the columns and the units. InputError if it is none."""
     path = file_path("path", path)
     wanted = _merged("columns", columns, _DEFAULT_COLUMNS)
     of_units = _checked_units(units)
@@ -169,7 +149,6 @@ def _check_counts(names: Mapping[str, list[str]]) -> None:
 
 
 def _numbers(rows, order: list[int], width: int) -> Array:
-    """The numbers of the chosen columns."""
     table = []
     for line, row in enumerate(rows, start=2):
         if not row or (len(row) == 1 and not row[0].strip()):

@@ -32,18 +32,11 @@ class Content(NamedTuple):
 
 
 def save(path: Path, content: Content) -> None:
-    """Writes a file in the format of its file extension."""
     WRITERS[path.suffix](path, content)
 
 
 def load(path: Path) -> Content:
-    """Reads a file in the format of its file extension.
-
-    Raises:
-        InputError: Another file extension, or no log that armctl wrote; what damaged bytes raise otherwise depends on the
-            format.
-        NotInstalledError: A Parquet file, and pyarrow is not installed.
-    """
+    """Reads a file in the format of its file extension; what damaged bytes raise depends on the format."""
     if path.suffix not in _READERS:
         raise InputError(f"it ends in {path.suffix!r:.20}, expected one of {', '.join(_READERS)}")
     return _READERS[path.suffix](path)
@@ -115,7 +108,6 @@ def _tabular(content: Content) -> tuple[dict[str, Any], list[Column]]:
 
 
 def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) -> Content:
-    """The inverse of `_tabular` and `flat`."""
     if not isinstance(facts, dict) or not isinstance(facts.get("arrays"), dict):
         raise InputError("its head is not a table")
     constant = facts.pop("arrays")

@@ -26,11 +26,7 @@ _KEYWORDS = {
 
 
 def with_hints(hints: Mapping[str, str]) -> Callable[[object, str], Any]:
-    """The `__getattr__` of a class: its AttributeError says what armctl offers instead of another library's name.
-
-    Args:
-        hints: For each such name, what to write instead.
-    """
+    """The `__getattr__` of a class: its AttributeError says what to write instead of another library's name."""
 
     def get_missing(self: object, name: str) -> Any:
         hint = f"; use {hints[name]}" if name in hints else ""
@@ -40,12 +36,7 @@ def with_hints(hints: Mapping[str, str]) -> Callable[[object, str], Any]:
 
 
 def check_keywords(cls: type, keywords: Mapping[str, object]) -> None:
-    """Raises a TypeError if a class takes no argument of such a name; the message says which names it takes.
-
-    Args:
-        cls: A class that is about to be constructed.
-        keywords: The keyword arguments of the call.
-    """
+    """Raises a TypeError if a class takes no argument of such a name; the message says which names it takes."""
     if not keywords:
         return
     parameters = inspect.signature(cls.__init__).parameters

@@ -61,7 +61,7 @@ class Pose:
         if norm < 1e-9:
             raise InputError("quat: its norm is zero, so it is no orientation; [1, 0, 0, 0] is the identity")
         wxyz = _canonical(wxyz / norm)
-        self._fill(vector("position", position, 3), wxyz, _matrix_from_quat(wxyz))
+        self._fill(vector("position", position, 3), wxyz, matrix_from_quat(wxyz))
 
     def _fill(self, position: ArrayLike, quat: Array, rotation: Array) -> None:
         rows = np.empty((4, 3))
@@ -168,9 +168,6 @@ class Pose:
 
         Returns:
             The distance in m and the angle in rad, 0 to pi.
-
-        Raises:
-            InputError: It is no pose.
         """
         instance("other", other, Pose, "armctl.Pose(position) makes one")
         return (
@@ -247,7 +244,8 @@ def _quat_from_rpy(rpy: Array) -> Array:
     )
 
 
-def _matrix_from_quat(wxyz: Array) -> Array:
+def matrix_from_quat(wxyz: Array) -> Array:
+    """The rotation matrix (3, 3) of a unit quaternion (4,); those (3, 3, N) of the columns of (4, N)."""
     w, x, y, z = wxyz
     return np.array(
         [

@@ -15,9 +15,7 @@ LINE_INTERVAL_S = 10.0  # between two lines if stderr is no terminal
 class ProgressBar(Protocol):
     """What `progress_bar` gives to its block."""
 
-    def update(self, n: float | None = 1) -> object:
-        """Counts n more pieces of work as done."""
-        ...
+    def update(self, n: float | None = 1) -> object: ...
 
 
 class _Lines:
@@ -40,16 +38,7 @@ class _Lines:
 
 @contextmanager
 def progress_bar(description: str, total: int, unit: str) -> Iterator[ProgressBar]:
-    """A bar that appears after `DELAY_S` if stderr is a terminal; otherwise a line every `LINE_INTERVAL_S`.
-
-    Args:
-        description: What is being done, in a word or two.
-        total: The number of pieces of work.
-        unit: What one piece is called.
-
-    Yields:
-        The bar; call its `update`.
-    """
+    """A bar that appears after `DELAY_S` if stderr is a terminal; otherwise a line every `LINE_INTERVAL_S`."""
     if sys.stderr is None or not sys.stderr.isatty():
         yield _Lines(description, total, unit)
         return

@@ -15,27 +15,17 @@ _MAX_CELL = 36  # columns; longer cells are wrapped
 
 @dataclass(frozen=True)
 class Table:
-    """A header and rows of text, all of one length.
+    """A header and rows of text, all of one length."""
 
-    Attributes:
-        header: The names of the columns.
-        rows: The cells, row by row.
-    """
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    header: Sequence[str]  # the names of the columns
+    rows: Sequence[Sequence[str]]  # the cells, row by row
 
     def markdown(self) -> str:
         """The table in GitHub's Markdown; a `|` in a cell is escaped."""
         return self._formatted("github", [[_one_line(cell).replace("|", r"\|") for cell in row] for row in self._lines()])
 
     def text(self, width: int = TERMINAL_COLUMNS, keys: int = 1) -> str:
-        """The table for a terminal. One that is wider continues below, with its first columns repeated.
-
-        Args:
-            width: Characters in a line.
-            keys: How many columns are repeated.
-        """
+        """The table for a terminal. One that is wider continues below, with its first columns (`keys` of them) repeated."""
         lines = [[_one_line(cell) for cell in row] for row in self._lines()]
         columns = [[_wrapped(row[i], k == 0, lines, i) for k, row in enumerate(lines)] for i in range(len(self.header))]
         widths = [max(len(line) for cell in column for line in cell) for column in columns]
@@ -47,11 +37,7 @@ class Table:
         return "\n\n".join(_block(columns, widths, block) for block in blocks)
 
     def html(self, marked: Collection[tuple[int, int]] = ()) -> str:
-        """The table as an HTML element; special characters are escaped.
-
-        Args:
-            marked: Row and column, from 0, of cells that are highlighted.
-        """
+        """The table as an HTML element; special characters are escaped, cells (row, column from 0) in `marked` highlighted."""
         lines = [[html.escape(_one_line(cell)) for cell in row] for row in self._lines()]
         for row, column in marked:
             lines[row + 1][column] = f"<mark>{lines[row + 1][column]}</mark>"

@@ -76,9 +76,6 @@ class Target:
 
         Returns:
             Position error, m, and orientation error, rad; 0 rad if any orientation is accepted.
-
-        Raises:
-            InputError: The argument is no Pose.
         """
         instance("tip", tip, Pose, "arm.fk returns one")
         angle = 0.0 if self.pose is None else rotation_angle(tip.rotation.T @ self.pose.rotation)

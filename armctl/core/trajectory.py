@@ -64,34 +64,19 @@ class Trajectory(Protocol):
 
 
 class TickReference(NamedTuple):
-    """A trajectory on the tick grid: rows for a `Setpoint`, each (K, n).
+    """A trajectory on the tick grid: rows for a `Setpoint`, each (K, n)."""
 
-    Attributes:
-        q: Position, rad (m for a slide joint).
-        v: Velocity, rad/s.
-        a: Acceleration, rad/s^2.
-        v_tick: The sampled velocity, rad/s.
-        a_tick: The forward difference of v_tick, rad/s^2.
-    """
-
-    q: Array
-    v: Array
-    a: Array
-    v_tick: Array
-    a_tick: Array
+    q: Array  # position, rad (m for a slide joint)
+    v: Array  # velocity, rad/s
+    a: Array  # acceleration, rad/s^2
+    v_tick: Array  # the sampled velocity, rad/s
+    a_tick: Array  # the forward difference of v_tick, rad/s^2
 
     @classmethod
     def of(cls, trajectory: Trajectory, dt: float, ticks: int, continuous: bool = False) -> TickReference:
-        """Samples a trajectory.
+        """Samples a trajectory at ticks of dt s from t = 0 on; it stands still before 0 and after its duration.
 
-        Args:
-            trajectory: The motion; it stands still before 0 and after its duration.
-            dt: s, the tick.
-            ticks: How many ticks, from t = 0 on.
-            continuous: Whether the arm moves on continuously between ticks: its velocity then is no difference of positions.
-
-        Returns:
-            Its q, v, a and the differences of q (of v, where the arm moves continuously) on the grid.
+        v_tick has the differences of q; or v, where the arm moves on continuously between ticks.
         """
         sampled = trajectory.sample(dt * np.arange(-1, ticks + 1))
         q = np.array(sampled[0], dtype=np.float64)  # copies: a user's trajectory may use its memory again
@@ -101,18 +86,9 @@ class TickReference(NamedTuple):
 
     @classmethod
     def between(cls, q: Array, v: Array, a: Array, before: Array, dt: float, continuous: bool = False) -> TickReference:
-        """Rows from setpoints one tick apart, each (K + 1, n), of which the last one is not a row.
+        """K rows from setpoints one tick apart, each (K + 1, n), of which the last one is not a row; `continuous` as for `of`.
 
-        Args:
-            q: rad.
-            v: rad/s.
-            a: rad/s^2.
-            before: (n,) rad, the position one tick before the first.
-            dt: s, the tick.
-            continuous: As for `of`.
-
-        Returns:
-            K rows, with the differences of the positions (of v, where the arm moves continuously).
+        `before` (n,) is the position one tick before the first.
         """
         v_tick = v if continuous else np.diff(np.vstack([before, q]), axis=0) / dt
         return cls(q[:-1], v[:-1], a[:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)
@@ -125,17 +101,9 @@ def check_trajectory(trajectory: object, what: str = "trajectory") -> None:
 
 
 def check_motion(trajectory: Any, joint_names: Sequence[str], *, what: str = "trajectory") -> None:
-    """Checks that an argument is a motion of these joints.
+    """Raises InputError if an argument, called `what`, is no motion of these joints.
 
     A motion without `joint_names`, such as one that a user wrote, is compared by its number of joints.
-
-    Args:
-        trajectory: The argument.
-        joint_names: The joints of the arm that is to follow the motion.
-        what: The name of the argument, for the error.
-
-    Raises:
-        InputError: It is not a trajectory, or it is a motion of other joints.
     """
     check_trajectory(trajectory, what)
     names = getattr(trajectory, "joint_names", None)

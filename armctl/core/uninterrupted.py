@@ -18,9 +18,7 @@ _HALF_IMPORTED = ("initialization failed", "already registered")
 def uninterrupted_import() -> Iterator[None]:
     """Delays Ctrl-C to the end of the block, which imports packages. Other threads get no signals anyway.
 
-    Raises:
-        ArmctlError: An import that was interrupted before has left a package that cannot be imported.
-        KeyboardInterrupt: Or what the program's own handler of SIGINT does.
+    ArmctlError if an import that was interrupted before has left a package that cannot be imported.
     """
     handler = signal.getsignal(signal.SIGINT)
     is_held = threading.current_thread() is threading.main_thread() and callable(handler)

@@ -1,4 +1,7 @@
-"""Checks of arguments: the one place where a caller's value becomes a checked number or a checked, read-only array."""
+"""Checks of arguments: the one place where a caller's value becomes a checked number or a checked, read-only array.
+
+All of them raise InputError; `what` is the name of the argument in its message. Use the returned value, not the argument.
+"""
 
 from __future__ import annotations
 
@@ -20,31 +23,14 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 def instance(what: str, value: object, kind: type | tuple[type, ...], hint: str) -> None:
-    """Checks that an argument is of a type.
-
-    Args:
-        what: The name of the argument, for the error.
-        kind: The type, or several types of which one must match.
-        hint: How to get such a value, for the error.
-
-    Raises:
-        InputError: The argument is of another type.
-    """
+    """Checks that an argument is of a type, or of one of several; `hint` says how to get such a value."""
     if not isinstance(value, kind):
         names = " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
         raise InputError(f"{what}: expected {names}, got {shown(value)}; {hint}")
 
 
 def choice(what: str, value: object, known: Iterable[str]) -> str:
-    """Checks that an argument is one of a few words.
-
-    Args:
-        what: The name of the argument, for the error.
-        known: The words.
-
-    Raises:
-        InputError: The argument is none of them.
-    """
+    """Checks that an argument is one of a few words, and returns it."""
     words = list(known)
     if not isinstance(value, str) or value not in words:
         raise InputError(f"{what}: expected one of {', '.join(words)}, got {shown(value)}")
@@ -52,20 +38,7 @@ def choice(what: str, value: object, known: Iterable[str]) -> str:
 
 
 def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bool = True) -> Array:
-    """Checks a list of numbers and copies it into a read-only vector.
-
-    Args:
-        what: The name of the argument, for the error.
-        value: (length,) numbers.
-        length: The required length; None accepts any.
-        finite: Whether NaN and infinity are rejected.
-
-    Returns:
-        (length,) float64, read-only.
-
-    Raises:
-        InputError: The value has another shape, is not numeric, or is not finite.
-    """
+    """A list of numbers as a read-only float64 vector, of a required length if one is given."""
     out = array(what, value, 1, finite=finite)
     if length is not None and out.shape != (length,):
         raise InputError(f"{what}: expected {length} numbers, got {out.size}")
@@ -73,20 +46,7 @@ def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bo
 
 
 def matrix(what: str, value: ArrayLike, columns: int, *, finite: bool = True) -> Array:
-    """Checks rows of numbers and copies them into a read-only matrix.
-
-    Args:
-        what: The name of the argument, for the error.
-        value: (k, columns) numbers.
-        columns: The required length of each row.
-        finite: Whether NaN and infinity are rejected.
-
-    Returns:
-        (k, columns) float64, read-only.
-
-    Raises:
-        InputError: The value has another shape, is not numeric, or is not finite.
-    """
+    """Rows of numbers as a read-only float64 matrix (k, columns)."""
     out = array(what, value, 2, finite=finite)
     if out.shape[1] != columns:
         raise InputError(f"{what}: expected rows of {columns} numbers, got {out.shape[1]}")
@@ -94,21 +54,9 @@ def matrix(what: str, value: ArrayLike, columns: int, *, finite: bool = True) ->
 
 
 def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Array:
-    """Checks numbers and copies them into a read-only array of `ndim` dimensions.
+    """Numbers as a read-only float64 array of `ndim` dimensions, without NaN and infinity if `finite`.
 
     Text, booleans and complex numbers are rejected; NumPy would convert all of them to float without a word.
-
-    Args:
-        what: The name of the argument, for the error.
-        value: The numbers.
-        ndim: The required number of dimensions.
-        finite: Whether NaN and infinity are rejected.
-
-    Returns:
-        float64, read-only.
-
-    Raises:
-        InputError: The value has another shape, is not numeric, or is not finite.
     """
     try:
         given = as_array(what, value)
@@ -140,17 +88,7 @@ def _holds_real_numbers(given: NDArray[np.generic]) -> bool:
 
 
 def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) -> float:
-    """Checks a number against its bounds. Use the returned value instead of the argument.
-
-    Args:
-        what: The name of the argument, for the error.
-        value: The number; text and booleans are rejected, also where `float()` would convert them.
-        low: The lower bound.
-        high: The upper bound.
-
-    Raises:
-        InputError: The value is not a number, not finite, or out of its bounds.
-    """
+    """A number within bounds. Text and booleans are rejected, also where `float()` would convert them."""
     out = value if type(value) is float else _as_float(what, value)
     if not math.isfinite(out):
         raise InputError(f"{what}: expected a finite number, got {out}")
@@ -160,17 +98,7 @@ def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) 
 
 
 def integer(what: str, value: float, low: float = -np.inf, high: float = np.inf) -> int:
-    """Checks a whole number against its bounds. Use the returned value instead of the argument.
-
-    Args:
-        what: The name of the argument, for the error.
-        value: The number; a float is accepted if it is whole.
-        low: The lower bound.
-        high: The upper bound.
-
-    Raises:
-        InputError: The value is not a whole number, or out of its bounds.
-    """
+    """A whole number within bounds; a float is accepted if it is whole."""
     out = number(what, value, low, high)
     if not out.is_integer():
         raise InputError(f"{what}: expected a whole number {_bounds(low, high)}, got {out:g}")
@@ -195,21 +123,13 @@ def _bounds(low: float, high: float) -> str:
 
 
 def flag(what: str, value: object) -> bool:
-    """Checks that an argument is True or False.
-
-    Args:
-        what: The name of the argument, for the error.
-
-    Raises:
-        InputError: It is something else, such as an array, whose truth would be ambiguous.
-    """
+    """Checks that an argument is True or False, and no array, whose truth would be ambiguous."""
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{what}: expected True or False, got {shown(value)}")
     return bool(value)
 
 
 def frozen(value: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """Makes an array read-only and returns it."""
     value.setflags(write=False)
     return value
 

@@ -27,15 +27,8 @@ struct ActionLimits {
 
 // Numbers of an action are in [-1, 1].
 struct ActionOptions {
-    // The members by name. `mode` is an ActionMode, `limits` (5, n) are those of ActionLimits, `home_tip` (12,) is translation and
-    // rotation matrix.
-    ActionOptions(const Arguments& given, size_t n)
-        : mode(static_cast<ActionMode>(given.integer("mode"))), size(given.count("size")), ticks(given.count("ticks")),
-          dt(given.number("dt")), joint_scale(given.number("joint_scale")), position_scale(given.number("position_scale")),
-          rotation_scale(given.number("rotation_scale")), approach_rate(given.number("approach_rate")),
-          tip_damping(given.number("tip_damping")) {
-        const Vector home = given.vector(12, "home_tip");
-        T_world_home = {.rotation = Rotation::from_rows(home.subspan(3)), .translation = vec3(home)};
+    // The members by name; `limits` (5, n) are those of ActionLimits, `home_tip` (12,) is translation and rotation matrix.
+    ActionOptions(const Arguments& named, size_t n) : given(named) {
         const Matrix rows = given.matrix(5, n, "limits");
         for (size_t i = 0; i < n; ++i) { limits.push_back({rows(0, i), rows(1, i), rows(2, i), rows(3, i), rows(4, i)}); }
         const bool is_cartesian = mode == ActionMode::cartesian_delta || mode == ActionMode::cartesian_pose;
@@ -45,17 +38,19 @@ struct ActionOptions {
         }
     }
 
-    ActionMode mode;
+    const Arguments& given;
+    ActionMode mode = static_cast<ActionMode>(given.integer("mode"));
     std::vector<ActionLimits> limits;
-    size_t size;            // numbers of an action
-    size_t ticks;           // of a step
-    double dt;              // s, the control period
-    double joint_scale;     // s: a full action moves a joint's target as far as full speed does in this time
-    double position_scale;  // m, of a full cartesian action
-    double rotation_scale;  // rad, of a full cartesian action
-    double approach_rate;   // 1/s, at which a reference approaches its target near the end
-    double tip_damping;     // of the inverse Jacobian, squared
-    Pose T_world_home;      // the tip at home, where cartesian poses begin
+    size_t size = given.count("size");                 // numbers of an action
+    size_t ticks = given.count("ticks");               // of a step
+    double dt = given.number("dt");                    // s, the control period
+    double joint_scale = given.number("joint_scale");  // s: a full action moves a joint's target as far as full speed does in this time
+    double position_scale = given.number("position_scale");  // m, of a full cartesian action
+    double rotation_scale = given.number("rotation_scale");  // rad, of a full cartesian action
+    double approach_rate = given.number("approach_rate");    // 1/s, at which a reference approaches its target near the end
+    double tip_damping = given.number("tip_damping");        // of the inverse Jacobian, squared
+    // The tip at home, where cartesian poses begin.
+    Pose T_world_home{Rotation::from_rows(given.vector(12, "home_tip").subspan(3)), vec3(given.vector(12, "home_tip"))};
 };
 
 // A number of an action within [-1, 1]; 0 if it is not a number.
@@ -112,25 +107,9 @@ private:
 
     // The twist from a tip to a goal: the difference of positions, and the sine of the angle times the axis.
     static Twist tip_error(const Pose& goal, const Pose& tip) {
-        Twist error{.linear = goal.translation - tip.translation, .angular = {}};
-        error.angular += 0.5 * cross(tip.rotation.x, goal.rotation.x);
-        error.angular += 0.5 * cross(tip.rotation.y, goal.rotation.y);
-        error.angular += 0.5 * cross(tip.rotation.z, goal.rotation.z);
-        return error;
-    }
-
-    // exp(turn) R: an orientation after a rotation by a rotation vector, rad, in the frame around it. Rodrigues' formula.
-    static Rotation turned(Vec3 turn, const Rotation& R) {
-        const double angle = norm(turn);
-        if (angle < 1e-12) { return R; }
-        const Vec3 axis{turn.x / angle, turn.y / angle, turn.z / angle};
-        const double cosine = std::cos(angle);
-        const double sine = std::sin(angle);
-        const double rest = 1.0 - cosine;
-        const auto turned_axis = [&](Vec3 column) {
-            return cosine * column + sine * cross(axis, column) + (dot(axis, column) * rest) * axis;
-        };
-        return {turned_axis(R.x), turned_axis(R.y), turned_axis(R.z)};
+        const Rotation& R = tip.rotation;
+        const Vec3 turn = cross(R.x, goal.rotation.x) + cross(R.y, goal.rotation.y) + cross(R.z, goal.rotation.z);
+        return {goal.translation - tip.translation, 0.5 * turn};
     }
 
     void move_tip(Vector action, Result target) {
@@ -138,8 +117,11 @@ private:
         const auto scaled = [action](double scale, size_t k) {
             return Vec3{scale * unit(action[k]), scale * unit(action[k + 1]), scale * unit(action[k + 2])};
         };
+        Pose goal = origin;
+        goal.translation += scaled(options_.position_scale, 0);
         const Vec3 turn = options_.size == 6 ? scaled(options_.rotation_scale, 3) : Vec3();
-        follow({turned(turn, origin.rotation), origin.translation + scaled(options_.position_scale, 0)}, target);
+        if (const double angle = norm(turn); angle > 0.0) { goal.rotation = rotation_about((1.0 / angle) * turn, angle) * origin.rotation; }
+        follow(goal, target);
     }
 
     // Moves targets (n,) by damped least squares until their tip is at a goal, each joint within its limits and at most as far from
@@ -184,11 +166,12 @@ public:
 
     // The torque (n,) N m of an action in a state.
     void torque(Vector action, Vector q, Vector v, Result tau) {
-        // The torques that keep the velocity, and the factors of the inertia of a step.
+        // The torques that keep the velocity, and the inertia of a step.
         std::ranges::fill(a_, 0.0);
         dynamics_.inverse_dynamics(q, v, a_, bias_);
-        dynamics_.mass_matrix(factors_);
-        dynamics_.add_step_inertia(factors_);
+        dynamics_.mass_matrix(inertia_);
+        dynamics_.add_step_inertia(inertia_);
+        factors_ = inertia_;
         factorize(factors_);
         for (size_t i = 0; i < n_; ++i) {
             tau[i] = options_.limits[i].tau_max * unit(action[i]);
@@ -202,8 +185,7 @@ public:
             a_[i] = guarded;
         }
         if (!is_changed) { return; }
-        multiply(factors_, a_, tau);
-        for (size_t i = 0; i < n_; ++i) { tau[i] += bias_[i]; }
+        for (size_t i = 0; i < n_; ++i) { tau[i] = dot(inertia_.row(i), a_, bias_[i]); }
     }
 
 private:
@@ -219,7 +201,7 @@ private:
     Dynamics dynamics_;
     size_t n_ = options_.limits.size();
     Numbers bias_ = Numbers(n_), a_ = Numbers(n_);
-    DenseMatrix factors_{n_, n_};
+    DenseMatrix inertia_{n_, n_}, factors_ = inertia_;
 };
 
 }  // namespace armctl

@@ -153,42 +153,6 @@ public:
         return 9 * sign_code(first) + 3 * sign_code(second) + sign_code(third);
     }
 
-    // Yoshikawa's manipulability where the joints are placed, lengths in m; of the position, or of position and orientation.
-    // With fewer unknowns than rows it is sqrt(det(J^T J)) (Yoshikawa, "Manipulability of robotic mechanisms", Int. J. Robotics
-    // Research 4(2), 1985).
-    double manipulability(bool oriented) {
-        constexpr size_t MOST_ROWS = 6;
-        find_jacobian();
-        const size_t n = jacobian_.size();
-        const size_t rows = oriented ? MOST_ROWS : 3;
-        const size_t size = std::min(n, rows);
-        // A = J J^T, or J^T J with fewer unknowns than rows.
-        std::array<std::array<double, MOST_ROWS>, MOST_ROWS> A{};
-        for (const Twist& twist : jacobian_) {
-            const std::array<double, MOST_ROWS> column = numbers({chain_->reach() * twist.linear, twist.angular});
-            for (size_t i = 0; n >= rows && i < rows; ++i) {
-                for (size_t j = 0; j <= i; ++j) { A[i][j] += column[i] * column[j]; }
-            }
-        }
-        for (size_t i = 0; n < rows && i < n; ++i) {
-            const std::array<double, MOST_ROWS> a = numbers({chain_->reach() * jacobian_[i].linear, jacobian_[i].angular});
-            for (size_t j = 0; j <= i; ++j) {
-                const std::array<double, MOST_ROWS> b = numbers({chain_->reach() * jacobian_[j].linear, jacobian_[j].angular});
-                for (size_t k = 0; k < rows; ++k) { A[i][j] += a[k] * b[k]; }
-            }
-        }
-        double product = 1.0;
-        for (size_t i = 0; i < size; ++i) {  // L D L^T in place
-            for (size_t j = 0; j < i; ++j) {
-                for (size_t k = 0; k < j; ++k) { A[i][j] -= A[i][k] * A[j][k] * A[k][k]; }
-                A[i][j] /= std::max(A[j][j], 1e-300);
-            }
-            for (size_t k = 0; k < i; ++k) { A[i][i] -= A[i][k] * A[i][k] * A[k][k]; }
-            product *= std::max(A[i][i], 0.0);
-        }
-        return std::sqrt(product);
-    }
-
     const std::vector<JointLine>& joints() const { return lines_; }
     const Pose& tip() const { return tip_; }
     // The tip with its position in m.

@@ -21,26 +21,23 @@ struct GripperActuator {
 
 // The numbers of all copies, which belong to the caller. A step writes all but the action and the noise.
 struct EnvironmentArrays {
-    EnvironmentArrays(const Arguments& given, size_t n, size_t ticks, size_t action_size)
-        : count(given.length("q")), action(given.matrix(count, action_size, "action")), q(given.writable_matrix(count, n, "q")),
-          v(given.writable_matrix(count, n, "v")), target(given.writable_matrix(count, n, "target")),
-          q_ref(given.writable_matrix(count, n, "q_ref")), v_ref(given.writable_matrix(count, n, "v_ref")),
-          tip(given.writable_matrix(count, 12, "tip")), opening(given.writable({count}, "opening")),
-          object(given.writable_matrix(count, 13, "object")), touched(given.writable_integers(count, "touched")),
-          noise(given.has("noise") ? given.shaped({count, ticks, 2, n}, "noise") : Vector()) {}
-
-    size_t count;
-    Matrix action;                    // (count, size), and the gripper's number
-    MatrixResult q;                   // (count, n) rad
-    MatrixResult v;                   // (count, n) rad/s
-    MatrixResult target;              // (count, n) rad, joint targets
-    MatrixResult q_ref;               // (count, n) rad, the reference
-    MatrixResult v_ref;               // (count, n) rad/s
-    MatrixResult tip;                 // (count, 12) position and rotation matrix
-    Result opening;                   // (count,) of the gripper, from closed (0) to open (1)
-    MatrixResult object;              // (count, 13) position, quaternion, velocity and angular velocity of the loose object
-    std::span<std::int64_t> touched;  // (count,) ticks of the last step at which something touched the obstacle
-    Vector noise;                     // (count, ticks, 2, n) on measured positions and velocities; empty for none
+    const Arguments& given;
+    size_t n;
+    size_t ticks;
+    size_t action_size;                                                           // with the gripper's number
+    size_t count = given.length("q");                                             // of the copies
+    Matrix action = given.matrix(count, action_size, "action");                   // in [-1, 1]
+    MatrixResult q = given.writable_matrix(count, n, "q");                        // rad
+    MatrixResult v = given.writable_matrix(count, n, "v");                        // rad/s
+    MatrixResult target = given.writable_matrix(count, n, "target");              // rad, joint targets
+    MatrixResult q_ref = given.writable_matrix(count, n, "q_ref");                // rad, the reference
+    MatrixResult v_ref = given.writable_matrix(count, n, "v_ref");                // rad/s
+    MatrixResult tip = given.writable_matrix(count, 12, "tip");                   // position and rotation matrix
+    Result opening = given.writable({count}, "opening");                          // of the gripper, from closed (0) to open (1)
+    MatrixResult object = given.writable_matrix(count, 13, "object");             // position, quaternion and velocities of the loose object
+    std::span<std::int64_t> touched = given.writable_integers(count, "touched");  // ticks of the last step with the obstacle touched
+    // On measured positions and velocities.
+    Vector noise = given.has("noise") ? given.shaped({count, ticks, 2, n}, "noise") : Vector();
 };
 
 class EnvironmentRows {
@@ -52,7 +49,7 @@ public:
     // if there is one; `obstacle`, a geom, if there is one; `max_delay`, ticks.
     EnvironmentRows(std::shared_ptr<const MujocoApi> api, Model arm, const Law& law, const Arguments& given)
         : api_(std::move(api)), arm_(std::move(arm)), motors_(motors_of(given)), options_(given, arm_->n()), gripper_(gripper_of(given)),
-          grip_step_(given.number("grip_step")), arrays_(given, arm_->n(), options_.ticks, options_.size + (gripper_.empty() ? 0 : 1)) {
+          grip_step_(given.number("grip_step")), arrays_{given, arm_->n(), options_.ticks, options_.size + (gripper_.empty() ? 0 : 1)} {
         if (law.joints() != joints() || arm_->n() != joints()) {
             throw InputError("law, arm: they are not for " + std::to_string(joints()) + " joints");
         }

@@ -122,7 +122,7 @@ public:
             for (size_t i = 0; i < n_; ++i) {
                 State& state = states_[i];
                 const double desired = q[i] + state.step;
-                const double possible = clamped(desired, unknowns[i].*bounds_of);
+                const double possible = (unknowns[i].*bounds_of).clamp(desired);
                 if (!state.at_bound && possible != desired) {
                     state.at_bound = true;
                     state.step = possible - q[i];
@@ -137,42 +137,10 @@ public:
         double moved = 0.0;
         for (size_t i = 0; i < n_; ++i) {
             const double before = q[i];
-            q[i] = clamped(before + share * states_[i].step, unknowns[i].*bounds_of);
+            q[i] = (unknowns[i].*bounds_of).clamp(before + share * states_[i].step);
             moved = std::max(moved, std::abs(q[i] - before));
         }
         return moved;
-    }
-
-    // The part of a desired step (n,) in the null space of J, shortened to its bounds; joints at theirs take no part.
-    //
-    // With the tiny damping only that part of the desired step is left that changes no error.
-    void null_step(Constraint constraint, Vector desired, Vector low, Vector high, Result step) {
-        const size_t rows = constraint == Constraint::position ? 3 : 6;
-        set_normal();
-        std::ranges::fill(step, 0.0);
-        for (State& state : states_) { state.at_bound = false; }
-        for (int pass = 0; pass < MAX_NULL_PASSES; ++pass) {
-            for (size_t i = 0; i < n_; ++i) {
-                states_[i].gradient = NULL_DAMPING * desired[i];
-                states_[i].step = 0.0;
-            }
-            solve_free(NULL_DAMPING);
-            double share = 1.0;
-            size_t free = 0;
-            for (size_t i = 0; i < n_; ++i) {
-                State& state = states_[i];
-                if (state.at_bound) { continue; }
-                ++free;
-                const double room = std::max(0.0, state.step > 0 ? high[i] : -low[i]) / std::max(std::abs(state.step), TINIEST);
-                share = std::min(share, room);
-                state.at_bound = room <= MIN_NULL_SHARE;
-            }
-            if (free <= rows) { return; }
-            if (share > MIN_NULL_SHARE) {
-                for (size_t i = 0; i < n_; ++i) { step[i] = share * states_[i].step; }
-                return;
-            }
-        }
     }
 
     // The norm of the weighted error.
@@ -194,16 +162,10 @@ private:
     static constexpr double MIN_SINE = 1e-9;  // below it a rotation's axis is lost to rounding
     static constexpr int ACTIVE_SET_PASSES = 3;
     static constexpr double MAX_STEP = 1.0;  // rad, or reaches for a slide joint
-    static constexpr int MAX_NULL_PASSES = 4;
-    // A null-space step shorter than this share of the desired one frees no joint from its bound.
-    static constexpr double MIN_NULL_SHARE = 0.01;
-    static constexpr double NULL_DAMPING = 1e-10;
     // A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
     // rounding.
     static constexpr double MAX_TARGET_REACHES = 1e3;
     static constexpr double MAX_SQUARED_LENGTH = 1e140;  // m: the square of a greater length may overflow; such numbers are scaled first
-
-    static double clamped(double value, Bounds bounds) { return std::min(std::max(value, bounds.low), bounds.high); }
 
     // The rotation vector of half a turn from the tip to the target: about the tip's axis that moves least, or across the free
     // axis.

@@ -13,8 +13,6 @@
 namespace armctl {
 
 constexpr double SAME_POINT_M2 = 1e-22;  // the square of a distance, m^2: nearer points are the same
-constexpr double FLAT_TRIANGLE = 1e-12;  // relative: the vertices of a triangle of less area are on a line
-
 constexpr int MAX_GJK_STEPS = 60;
 constexpr double OVERLAP_M2 = 1e-18;  // the square of a distance between hulls that overlap, m^2
 
@@ -22,12 +20,6 @@ constexpr double OVERLAP_M2 = 1e-18;  // the square of a distance between hulls 
 struct SupportPoint {
     Vec3 difference;
     Vec3 on_first;  // the point of the first shape that belongs to it
-};
-
-// The weights of the second and the third vertex in the point of a face that is closest to the origin.
-struct Barycentric {
-    double second = 0.0;
-    double third = 0.0;
 };
 
 class Simplex {
@@ -51,7 +43,7 @@ public:
     std::optional<Vec3> reduce_to_closest_point() {
         switch (size_) {
             case 1:
-                return vertices_[0].difference;
+                return keep_vertex(0);
             case 2:
                 return closest_on_segment();
             case 3:
@@ -61,29 +53,10 @@ public:
         }
     }
 
-    // The point of the first shape that belongs to the point closest to the origin.
+    // The point of the first shape that belongs to the point closest to the origin, after the simplex has been reduced.
     Vec3 witness_on_first() const {
-        Barycentric weight;
-        if (size_ > 1) {
-            const Vec3 a = vertices_[0].difference;
-            const Vec3 ab = vertices_[1].difference - a;
-            const Vec3 ac = size_ > 2 ? vertices_[2].difference - a : Vec3{};
-            const double uu = dot(ab, ab);
-            const double uv = dot(ab, ac);
-            const double vv = dot(ac, ac);
-            const double ou = -dot(ab, a);
-            const double ov = -dot(ac, a);
-            const double determinant = uu * vv - uv * uv;
-            if (size_ == 2 || determinant <= FLAT_TRIANGLE * uu * vv) {
-                weight.second = ou / uu;
-            } else {
-                weight.second = (vv * ou - uv * ov) / determinant;
-                weight.third = (uu * ov - uv * ou) / determinant;
-            }
-        }
-        const std::array<double, 3> weights = {1.0 - weight.second - weight.third, weight.second, weight.third};
         Vec3 point;
-        for (size_t k = 0; k < std::min<size_t>(size_, 3); ++k) { point += weights[k] * vertices_[k].on_first; }
+        for (size_t k = 0; k < size_; ++k) { point += weights_[k] * vertices_[k].on_first; }
         return point;
     }
 
@@ -95,7 +68,7 @@ private:
         const double square = dot(edge, edge);
         if (along <= 0.0) { return keep_vertex(0); }
         if (along >= square) { return keep_vertex(1); }
-        return a + (along / square) * edge;
+        return keep_edge(0, 1, along / square);
     }
 
     // By the regions of C. Ericson, Real-Time Collision Detection (2005), section 5.1.5.
@@ -123,6 +96,7 @@ private:
         const double scale = 1.0 / (va + vb + vc);
         const double v = vb * scale;
         const double w = vc * scale;
+        weights_ = {1.0 - v - w, v, w};
         return a + v * ab + w * ac;
     }
 
@@ -158,6 +132,7 @@ private:
 
     Vec3 keep_vertex(size_t i) {
         vertices_[0] = vertices_[i];
+        weights_[0] = 1.0;
         size_ = 1;
         return vertices_[0].difference;
     }
@@ -165,12 +140,14 @@ private:
     Vec3 keep_edge(size_t i, size_t j, double share) {
         vertices_[0] = vertices_[i];
         vertices_[1] = vertices_[j];
+        weights_ = {1.0 - share, share};
         size_ = 2;
         const Vec3 start = vertices_[0].difference;
         return start + share * (vertices_[1].difference - start);
     }
 
     std::array<SupportPoint, 4> vertices_;
+    std::array<double, 3> weights_{};  // of the vertices in the closest point
     size_t size_ = 0;
 };
 

@@ -70,13 +70,19 @@ private:
     Numbers memory_;
 };
 
-// The usual `Law::clone`: a copy of a law, at the start of a run.
-template <class ConcreteLaw>
-std::unique_ptr<Law> fresh_copy(const ConcreteLaw& law) {
-    auto copy = std::make_unique<ConcreteLaw>(law);
-    copy->reset();
-    return copy;
-}
+// A law, or a law that another one extends, whose clone is a copy at the start of a run.
+template <class ConcreteLaw, class Base = Law>
+class Cloneable : public Base {  // NOLINT(bugprone-crtp-constructor-accessibility): laws have no default constructor
+public:
+    std::unique_ptr<Law> clone() const override {
+        auto copy = std::make_unique<ConcreteLaw>(static_cast<const ConcreteLaw&>(*this));
+        copy->reset();
+        return copy;
+    }
+
+protected:
+    using Base::Base;
+};
 
 // A value within [-bound, bound]; a value that is not a number remains one.
 inline double clipped(double value, double bound) { return std::min(std::max(value, -bound), bound); }

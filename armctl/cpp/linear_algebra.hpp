@@ -87,18 +87,9 @@ void take_roots(MatrixResult factors);
 // Replaces x by the solution of M solution = x, with M as `factorize` leaves it.
 void solve(Matrix factors, Result x);
 
-// product = M x, with M as `factorize` leaves it.
-void multiply(Matrix factors, Vector x, Result product);
-
 // Replaces a symmetric matrix A by a diagonal one, and V by its eigenvectors (columns): cyclic Jacobi rotations.
 //
 // Source: Golub and Van Loan, 8.5. Small eigenvalues keep their relative accuracy.
 void diagonalize(MatrixResult A, MatrixResult V);
-
-// Adds to x (r,) the shortest vector that minimizes |A^T x - b|, by one-sided Jacobi rotations of the rows of A (r, n). The
-// rows become orthogonal; `rotations` (r, r) is scratch. Rows of less than rounding errors count as zero.
-//
-// After Hestenes (1958), see Golub and Van Loan, 8.6.3.
-void solve_least_squares(MatrixResult A, Vector b, MatrixResult rotations, Result x);
 
 }  // namespace armctl

@@ -30,50 +30,40 @@ struct TickEnd {
 
 // The ticks [first, last) of a trajectory, and what they are recorded in. What is not given is empty.
 struct Ticks {
-    Ticks(const Arguments& given, size_t n, size_t nq) : first(given.count("first")), last(given.count("last")) {
-        const size_t ticks = given.length("v_rows");
-        const size_t coming = last - first;
-        q = given.matrix(ticks, n, "q");
-        v = given.matrix(ticks, n, "v");
-        a = given.matrix(ticks, n, "a");
-        v_tick = given.matrix(ticks, n, "v_tick");
-        a_tick = given.matrix(ticks, n, "a_tick");
-        qpos_rows = given.writable_matrix(ticks, nq, "qpos_rows");
-        v_rows = given.writable_matrix(ticks, n, "v_rows");
-        command_rows = given.writable_matrix(ticks, n, "command_rows");
-        torque_rows = given.writable_matrix(ticks, n, "torque_rows");
+    Ticks(const Arguments& named, size_t joints, size_t positions) : given(named), n(joints), nq(positions) {
         if (first > last || last > ticks) { throw InputError("first, last: they are not rows of the reference"); }
-        if (given.has("wrench_rows")) { wrench_rows = given.writable_matrix(ticks, 6, "wrench_rows"); }
-        if (given.has("noise")) { noise = given.shaped({coming, 2, n}, "noise"); }
-        if (given.has("pushes")) { pushes = given.matrix(coming, 6, "pushes"); }
-        if (given.has("push")) { push = given.writable({6}, "push"); }
-        if (given.has("last_position")) { last_position = given.writable({n}, "last_position"); }
-        if (given.has("times")) { times = given.vector(coming, "times"); }
-        if (given.has("wrench_noise")) { wrench_noise = given.matrix(coming, 6, "wrench_noise"); }
     }
 
-    size_t first;
-    size_t last;
+    const Arguments& given;
+    size_t n;
+    size_t nq;
+    size_t first = given.count("first");
+    size_t last = given.count("last");
+    size_t ticks = given.length("v_rows");
+    size_t coming = last - first;
     // The trajectory, (ticks, n) each.
-    Matrix q;
-    Matrix v;
-    Matrix a;
-    Matrix v_tick;
-    Matrix a_tick;
+    Matrix q = given.matrix(ticks, n, "q");
+    Matrix v = given.matrix(ticks, n, "v");
+    Matrix a = given.matrix(ticks, n, "a");
+    Matrix v_tick = given.matrix(ticks, n, "v_tick");
+    Matrix a_tick = given.matrix(ticks, n, "a_tick");
     // The records.
-    MatrixResult qpos_rows;     // (ticks, nq) of the whole model
-    MatrixResult v_rows;        // (ticks, n) rad/s
-    MatrixResult command_rows;  // (ticks, n) N m
-    MatrixResult torque_rows;   // (ticks, n) N m, what the motors did
-    MatrixResult wrench_rows;   // (ticks, 6) the true wrench, if it is measured
-    // What disturbs the signals. The first row is that of the first tick.
-    Vector noise;   // (last - first, 2, n) on measured positions and velocities
-    Matrix pushes;  // (last - first, 6) N and N m, on the tip
-    Result push;    // (6,) the wrench of the last tick, which the loop writes
+    MatrixResult qpos_rows = given.writable_matrix(ticks, nq, "qpos_rows");       // (ticks, nq) of the whole model
+    MatrixResult v_rows = given.writable_matrix(ticks, n, "v_rows");              // (ticks, n) rad/s
+    MatrixResult command_rows = given.writable_matrix(ticks, n, "command_rows");  // (ticks, n) N m
+    MatrixResult torque_rows = given.writable_matrix(ticks, n, "torque_rows");    // (ticks, n) N m, what the motors did
+    // (ticks, 6) the true wrench, if it is measured.
+    MatrixResult wrench_rows = given.has("wrench_rows") ? given.writable_matrix(ticks, 6, "wrench_rows") : MatrixResult();
+    // What disturbs the signals. The first row is that of the first tick: (last - first, 2, n) on measured positions and
+    // velocities, (last - first, 6) N and N m on the tip, and (6,) the wrench of the last tick, which the loop writes.
+    Vector noise = given.has("noise") ? given.shaped({coming, 2, n}, "noise") : Vector();
+    Matrix pushes = given.has("pushes") ? given.matrix(coming, 6, "pushes") : Matrix();
+    Result push = given.has("push") ? given.writable({6}, "push") : Result();
     // (n,) of the last tick, NaN at the first one, if measured velocities are differences of positions.
-    Result last_position;
-    Vector times;         // (last - first,) s, for the sensor
-    Matrix wrench_noise;  // (last - first, 6)
+    Result last_position = given.has("last_position") ? given.writable({n}, "last_position") : Result();
+    // (last - first,) s, and (last - first, 6), for the sensor.
+    Vector times = given.has("times") ? given.vector(coming, "times") : Vector();
+    Matrix wrench_noise = given.has("wrench_noise") ? given.matrix(coming, 6, "wrench_noise") : Matrix();
 
     Setpoint setpoint(size_t row) const {
         return {q.row(row), v.row(row), a.row(row), v_tick.row(row), a_tick.row(row), q.from(row), v_tick.from(row), a_tick.from(row)};

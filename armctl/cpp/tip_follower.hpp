@@ -129,9 +129,7 @@ private:
 
     // Fills the twist (3,) or (6,) that takes the tip, at the located joints, to a pose, and returns its length.
     double error(const Pose& goal, Result twist) const {
-        const Pose tip = dynamics_.tip();
-        const Vec3 angular = rows() == 6 ? rotation_vector(tip.rotation, goal.rotation) : Vec3();
-        copy(Vector(numbers({goal.translation - tip.translation, angular})).first(rows()), twist);
+        copy(Vector(numbers(difference(dynamics_.tip(), goal))).first(rows()), twist);
         return std::sqrt(dot(twist, twist));
     }
 

@@ -88,6 +88,17 @@ struct Rotation {
     }
 };
 
+// The rotation by an angle about a unit axis, by Rodrigues' formula.
+inline Rotation rotation_about(Vec3 axis, double angle) {
+    const double sine = std::sin(angle);
+    const double cosine = std::cos(angle);
+    const double u = 1.0 - cosine;
+    const auto [x, y, z] = axis;
+    return {{cosine + x * x * u, y * x * u + z * sine, z * x * u - y * sine},
+            {x * y * u - z * sine, cosine + y * y * u, z * y * u + x * sine},
+            {x * z * u + y * sine, y * z * u - x * sine, cosine + z * z * u}};
+}
+
 // R I R^T: a symmetric matrix of a frame, in the frame around it.
 inline Symmetric rotated(const Rotation& R, const Symmetric& I) {
     // The columns of R^T are the rows of R.
@@ -158,6 +169,11 @@ inline Vec3 rotation_vector(const Rotation& from, const Rotation& to) {
     const double sine = std::sqrt(turn.x * turn.x + turn.y * turn.y + turn.z * turn.z);
     const double scale = sine > 0.0 ? 2.0 * std::atan2(sine, turn.w) / sine : 2.0;
     return {scale * turn.x, scale * turn.y, scale * turn.z};
+}
+
+// The translation, m, and the rotation vector, rad, from a pose to another, in the axes around them.
+inline Twist difference(const Pose& from, const Pose& to) {
+    return {to.translation - from.translation, rotation_vector(from.rotation, to.rotation)};
 }
 
 }  // namespace armctl

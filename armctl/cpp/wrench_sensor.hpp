@@ -1,6 +1,7 @@
 // The wrench of the environment on the tip of an arm, true or as a sensor measures it: with noise and delay, by a flange sensor
 // or from the torques of the motors.
 #pragma once
+#include <deque>
 #include <limits>
 #include <optional>
 
@@ -48,12 +49,11 @@ struct WrenchSignals {
 class WrenchEstimate {
 public:
     // rows: 3 for the force only, 6 for force and moment.
-    WrenchEstimate(const Model& model, double dt, size_t rows) : dynamics_(model), dt_(dt), J_(6, model->n()), rotations_(rows, rows) {}
+    WrenchEstimate(const Model& model, double dt, size_t rows) : dynamics_(model), dt_(dt), mobility_(rows, rows) {}
 
     void reset() { last_t_ = std::numeric_limits<double>::quiet_NaN(); }
 
     Wrench update(const WrenchSignals& signals) {
-        const size_t rows = rotations_.rows();
         const bool follows = std::abs(signals.t - last_t_ - dt_) <= 0.5 * dt_;
         if (follows) {
             for (size_t i = 0; i < last_v_.size(); ++i) { acceleration_[i] = (signals.v[i] - last_v_[i]) / dt_; }
@@ -69,21 +69,40 @@ public:
         copy(signals.q, last_q_);
         copy(signals.v, last_v_);
         dynamics_.locate(signals.q);
-        J_.set(dynamics_.tip_jacobian());
-        std::array<double, 6> wrench{};
-        solve_least_squares({J_.numbers().data(), rows, J_.columns()}, filtered_, rotations_, wrench);
-        return wrench_of(wrench);
+        return wrench_for_torques();
     }
 
 private:
     static constexpr double bandwidth = 200.0;  // rad/s of the low-pass
+    // Relative, of J J^T: a wrench along a direction of less, which is singular, moves no joint.
+    static constexpr double singular = 1e-14;
 
-    Numbers zeros() const { return Numbers(J_.columns()); }
+    // The shortest wrench that explains the torques best, at the located joints: (J J^T)^+ J tau.
+    Wrench wrench_for_torques() {
+        const Matrix J = dynamics_.tip_jacobian();
+        const size_t rows = mobility_.rows();
+        for (size_t r = 0; r < rows; ++r) {
+            for (size_t c = 0; c < rows; ++c) { mobility_(r, c) = dot(J.row(r), J.row(c)); }
+        }
+        diagonalize(mobility_, directions_);
+        double largest = 0.0;
+        for (size_t k = 0; k < rows; ++k) { largest = std::max(largest, mobility_(k, k)); }
+        std::array<double, 6> wrench{};
+        for (size_t k = 0; k < rows; ++k) {
+            if (!(mobility_(k, k) > singular * largest)) { continue; }
+            double along = 0.0;
+            for (size_t r = 0; r < rows; ++r) { along += directions_(r, k) * dot(J.row(r), filtered_); }
+            for (size_t r = 0; r < rows; ++r) { wrench[r] += directions_(r, k) * along / mobility_(k, k); }
+        }
+        return wrench_of(wrench);
+    }
+
+    Numbers zeros() const { return Numbers(dynamics_.model().n()); }
 
     Dynamics dynamics_;
     double dt_;
     double last_t_ = std::numeric_limits<double>::quiet_NaN();
-    DenseMatrix J_, rotations_;
+    DenseMatrix mobility_, directions_ = mobility_;
     Numbers last_q_ = zeros(), last_v_ = zeros(), filtered_ = zeros(), acceleration_ = zeros(), needed_ = zeros();
 };
 
@@ -97,7 +116,7 @@ public:
         : api_(std::move(api)), simulation_(simulation), joints_(arm->n()), root_(given.count("root")), tip_(given.count("tip")),
           offset_(vec3(given.vector(3, "offset"))), is_connected_(given.flag("is_connected")), is_sampled_(given.flag("is_sampled")),
           // Those of the delay, the newest one, and one in reserve: a rounding error may keep a sample a tick longer.
-          max_age_((given.number("delay") + 0.5) * given.number("dt")), samples_(given.count("delay") + 2) {
+          max_age_((given.number("delay") + 0.5) * given.number("dt")), max_samples_(given.count("delay") + 2) {
         for (const std::int64_t body : given.integers(given.length("bodies"), "bodies")) { bodies_.push_back(static_cast<size_t>(body)); }
         const size_t count = simulation.xpos.rows;
         const bool are_bodies = std::ranges::all_of(bodies_, [count](size_t body) { return body < count; });
@@ -111,7 +130,7 @@ public:
 
     // Forgets all measurements.
     void reset() {
-        count_ = 0;
+        samples_.clear();
         if (estimate_) { estimate_->reset(); }
     }
 
@@ -130,17 +149,16 @@ public:
     Wrench measure(const WrenchSignals& signals, Wrench& truth) {
         truth = read(signals.push);
         if (!is_sampled_) { return truth; }
-        if (count_ == 0 || sample(count_ - 1).t != signals.t) {
-            // The caller's ticks may be shorter than those of the sensor.
-            if (count_ == samples_.size()) { forget_oldest(); }
-            Sample& newest = sample(count_);
-            ++count_;
-            newest.t = signals.t;
-            newest.wrench = estimate_ ? estimate_->update(signals) : truth;
-            if (!signals.noise.empty()) { newest.wrench += wrench_of(signals.noise); }
+        if (samples_.empty() || samples_.back().t != signals.t) {
+            Wrench wrench = estimate_ ? estimate_->update(signals) : truth;
+            if (!signals.noise.empty()) { wrench += wrench_of(signals.noise); }
+            samples_.push_back({signals.t, wrench});
         }
-        while (count_ > 1 && sample(0).t < signals.t - max_age_) { forget_oldest(); }
-        return sample(0).wrench;
+        // The caller's ticks may be shorter than those of the sensor.
+        while (samples_.size() > max_samples_ || (samples_.size() > 1 && samples_.front().t < signals.t - max_age_)) {
+            samples_.pop_front();
+        }
+        return samples_.front().wrench;
     }
 
 private:
@@ -172,13 +190,6 @@ private:
         return wrench;
     }
 
-    Sample& sample(size_t age_rank) { return samples_[(oldest_ + age_rank) % samples_.size()]; }
-
-    void forget_oldest() {
-        oldest_ = (oldest_ + 1) % samples_.size();
-        --count_;
-    }
-
     std::shared_ptr<const MujocoApi> api_;
     MujocoSimulation simulation_;
     size_t joints_;
@@ -190,9 +201,8 @@ private:
     bool is_sampled_;
     double max_age_;  // s, of the sample that the sensor gives
     std::optional<WrenchEstimate> estimate_;
-    std::vector<Sample> samples_;  // ring buffer
-    size_t oldest_ = 0;
-    size_t count_ = 0;
+    size_t max_samples_;
+    std::deque<Sample> samples_;
 };
 
 }  // namespace armctl

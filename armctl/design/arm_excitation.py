@@ -14,7 +14,9 @@ from armctl.collision.clearance import clearance_of
 from armctl.core.errors import ArmctlWarning, LimitError, PlanError
 from armctl.core.validation import Array, IntArray
 from armctl.design.regressor import ArmRegressor, FrictionShape, pivoted_qr
-from armctl.motion import JointTrajectory, check_torque, move_through
+from armctl.motion.move_through import move_through
+from armctl.motion.torque_limits import check_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm
 
 if TYPE_CHECKING:

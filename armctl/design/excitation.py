@@ -14,7 +14,9 @@ from armctl.core.limits import check_speed
 from armctl.core.validation import Array, choice, instance, number
 from armctl.design.arm_excitation import TORQUE_SHARE, Excitation, arm_excitation, excitation_along
 from armctl.design.multisine import multisine_excitation
-from armctl.motion import JointTrajectory, check_torque, move_through
+from armctl.motion.move_through import move_through
+from armctl.motion.torque_limits import check_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 

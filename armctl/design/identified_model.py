@@ -83,6 +83,37 @@ def edited_spec(arm: Arm, model: mujoco.MjModel, given: str | os.PathLike[str] |
     return spec
 
 
+def place_bodies(spec: mujoco.MjSpec, arm: Arm, corrected: Arm) -> None:
+    """Moves the bodies of a specification, in place, and its tip, to where they are in a corrected arm."""
+    joints = {joint.name: joint for joint in spec.joints}
+    bodies = {body.name: body for body in spec.bodies if body.name}
+    model = corrected.model
+    moved = (model.body_pos != arm.model.body_pos).any(axis=1) | (model.body_quat != arm.model.body_quat).any(axis=1)
+    for number in np.flatnonzero(moved):
+        body = _same_body(model, int(number), bodies, joints)
+        if body is None:
+            raise InputError(f"source: it has no body {model.body(number).name!r:.60}")
+        _place(body, body.parent, model.body_pos[number], model.body_quat[number])
+    carrier = _same_body(model, arm.tip_body, bodies, joints)
+    if carrier is None:
+        raise InputError(f"source: it has no body {model.body(arm.tip_body).name!r:.60}")
+    T = corrected.T_body_tip
+    site = next((site for site in carrier.sites if site.name == arm.tip), None)
+    if site is not None:
+        _place(site, carrier, T.position, T.quat)
+    elif not (np.allclose(T.position, arm.T_body_tip.position) and np.allclose(T.quat, arm.T_body_tip.quat)):
+        carrier.add_site(name="calibrated_tip", pos=T.position, quat=T.quat)
+
+
+def _place(element: mujoco.MjsBody | mujoco.MjsSite, parent: mujoco.MjsBody, position: Array, quat: Array) -> None:
+    """Sets where an element is in its parent, whatever frame or angles its file gave."""
+    if element.frame is not None:
+        element.set_frame(parent.add_frame())
+    element.pos = position
+    element.quat = quat
+    element.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
 def _same_body(
     model: mujoco.MjModel, number: int, bodies: dict[str, mujoco.MjsBody], joints: dict[str, mujoco.MjsJoint]
 ) -> mujoco.MjsBody | None:

@@ -16,6 +16,7 @@ from armctl.core.validation import Array, integer, number
 from armctl.design.loop import MAX_DELAY_TICKS, Loop
 from armctl.design.state_space import StateSpace, linear_controller
 from armctl.mjmodel.dc_motor import current_state, remove_bristles
+from armctl.mjmodel.sensor_timing import SensorTiming
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.drivetrain import drivetrain_of, motors_of
 from armctl.sim.move import read_controller
@@ -24,6 +25,7 @@ from armctl.sim.plant import Plant, read_plant
 _POSITION_STEP = 1e-6  # rad (m), and rad/s (m/s), of the central differences of the plant
 _TORQUE_STEP = 1e-4  # of the torque limits
 _WHOLE_TICK_TOLERANCE = 1e-6
+_SENSOR_TICKS = 1000  # after which the ages of measurements repeat, nearly if their interval is no whole number of ticks
 _SWITCHED_OFF = (
     mujoco.mjtDisableBit.mjDSBL_CONTACT,
     mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS,
@@ -97,7 +99,7 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
         controller: A controller or its name. Its own memory does not change if it can be copied.
         q: (n,) rad, the configuration.
         plant: How the simulated arm differs from the model; by default it does not. Its noise, pushes, dry friction, gaps and
-            the steps of encoders have no effect; jitter counts as the greatest delay.
+            the steps of encoders have no effect; jitter and the intervals of sensors count as the mean of their delays.
         delay: s of delay between controller and motors besides that of the plant; a whole number of control periods.
 
     Returns:
@@ -111,12 +113,8 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
     """
     check_arm(arm)
     law = read_controller(controller, arm)
-    return loop_at(arm, law, arm.checked("q", q), read_plant(plant), number("delay", delay, 0.0))
-
-
-def loop_at(arm: Arm, controller: Controller, q: Array, plant: Plant, delay: float = 0.0) -> Loop:
-    """`linearize` for checked arguments."""
-    return Linearizer(arm, plant).loop_at(controller, q, delay)
+    q = arm.checked("q", q)
+    return Linearizer(arm, read_plant(plant)).loop_at(law, q, number("delay", delay, 0.0))
 
 
 class Linearizer:
@@ -138,6 +136,7 @@ class Linearizer:
         self._data = mujoco.MjData(model)
         self._substeps = round(self.dt / model.opt.timestep)
         self._train = drivetrain_of([arm], plant)
+        self.is_elastic = bool(self._train.extra_joints)
         self._spring_qpos = model.jnt_qposadr[self._train.extra_joints]
         self._spring_dofs = model.jnt_dofadr[self._train.extra_joints]
         motors = motors_of(model, arm.actuation)
@@ -185,7 +184,8 @@ class Linearizer:
         if getattr(controller, "needs_deflection", False):
             links, motors = self._sides(len(linear.A))
             linear = linear._replace(C=np.vstack([linear.C, motors - links]))
-        system, added = _sensed(linear, self.plant)
+        linear = _jittered(linear, self.plant.jitter)
+        system, added = _sensed(linear, self.plant, self._train.sensors)
         return Loop(
             robot=arm.name,
             controller=controller_name(controller),
@@ -193,7 +193,7 @@ class Linearizer:
             joint_names=arm.joint_names,
             q=q,
             dt=self.dt,
-            delay=integer("delay", self.plant.delay + self.plant.jitter + ticks, 0, MAX_DELAY_TICKS),
+            delay=integer("delay", self.plant.delay + ticks, 0, MAX_DELAY_TICKS),
             holding_torque=linear.holding_torque,
             _arm=system,
             _push=np.vstack([linear.push, np.zeros((added, arm.n))]),
@@ -264,13 +264,38 @@ class Linearizer:
         return links, motors
 
 
-def _sensed(arm: LinearArm, plant: Plant) -> tuple[StateSpace, int]:
-    """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late."""
+def _jittered(arm: LinearArm, jitter: int) -> LinearArm:
+    """An arm whose commands are late at random: its expected motion, with the commands before among its states."""
+    if not jitter:
+        return arm
+    size, n = arm.B.shape
+    ages = np.arange(jitter + 1)
+    steps = np.zeros((len(ages), len(ages)))
+    for age in ages:
+        np.add.at(steps[age], np.minimum(ages, age + 1), 1 / len(ages))  # a command is not followed by an older one
+    shares = np.linalg.matrix_power(steps, 64)[0]
+    A = np.zeros((size + jitter * n, size + jitter * n))
+    A[:size, :size] = arm.A
+    A[:size, size:] = np.hstack([share * arm.B for share in shares[1:]])
+    A[size + n :, size:-n] = np.eye((jitter - 1) * n)
+    B = np.vstack([shares[0] * arm.B, np.eye(jitter * n, n)])
+    more = ((0, 0), (0, jitter * n))
+    push = np.pad(arm.push, ((0, jitter * n), (0, 0)))
+    return arm._replace(A=A, B=B, C=np.pad(arm.C, more), push=push, position=np.pad(arm.position, more))
+
+
+def _sensed(arm: LinearArm, plant: Plant, sensors: SensorTiming) -> tuple[StateSpace, int]:
+    """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late.
+
+    What is measured at intervals is the mean of the measurements of all ages that it gets, as a held value is at frequencies
+    far below that of the interval.
+    """
     size = len(arm.A)
     n = arm.B.shape[1]
     signals = len(arm.C)
     is_differenced = plant.differences_positions
-    added = n * is_differenced + signals * plant.sensor_delay
+    ages = plant.sensor_delay + sensors.ages(np.arange(_SENSOR_TICKS), arm.dt)
+    added = n * is_differenced + signals * int(ages.max())
     A = np.zeros((size + added, size + added))
     A[:size, :size] = arm.A
     output = np.zeros((signals, size + added))
@@ -281,9 +306,12 @@ def _sensed(arm: LinearArm, plant: Plant) -> tuple[StateSpace, int]:
         output[n : 2 * n] = output[:n] / arm.dt
         output[n : 2 * n, first : first + n] -= np.eye(n) / arm.dt
         first += n
-    for _ in range(plant.sensor_delay):
-        A[first : first + signals] = output
-        output = np.zeros_like(output)
-        output[:, first : first + signals] = np.eye(signals)
+    stages = [output]
+    for _ in range(int(ages.max())):
+        A[first : first + signals] = stages[-1]
+        stages.append(np.zeros_like(output))
+        stages[-1][:, first : first + signals] = np.eye(signals)
         first += signals
-    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), output, np.zeros((signals, n))), added
+    shares = [np.tile((ages == age).mean(axis=0), signals // n)[:, None] for age in range(len(stages))]
+    read = np.sum([share * stage for share, stage in zip(shares, stages, strict=True)], axis=0)
+    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), read, np.zeros((signals, n))), added

@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.plotting import COLORS, finish_figure
-from armctl.core.validation import Array, integer, vector
+from armctl.core.validation import Array, IntArray, integer, vector
 from armctl.design.stability import (
     CoarseMargins,
     LoopMargins,
     coarse_grid,
     coarse_margins,
+    coarse_margins_of,
     frequency_grid,
     loop_margins,
     robustness,
@@ -297,10 +298,14 @@ def draw_loop(figure: Figure, loop: Loop) -> None:
     figure.suptitle(f"{loop.robot}, {loop.controller}, {loop.plant}", fontweight="bold", x=0.01, ha="left")
 
 
-def coarse_margins_with(plant: ComplexArray, loop: Loop) -> CoarseMargins:
-    """`Loop.coarse_margins`, where the `coarse_plant` of its arm is known."""
+def coarse_margins_with(plant: ComplexArray, loop: Loop, decisive: IntArray | None = None) -> CoarseMargins:
+    """`Loop.coarse_margins`, where the `coarse_plant` of its arm is known, and maybe which frequencies of the grid decide."""
     frequencies = coarse_grid(loop.dt)
-    return coarse_margins(loop.system, frequencies, -loop._law.transfer(np.exp(1j * frequencies * loop.dt)) @ plant)
+    if decisive is not None:
+        frequencies = frequencies[decisive]
+        plant = plant[decisive]
+    transfer = -loop._law.transfer(np.exp(1j * frequencies * loop.dt)) @ plant
+    return coarse_margins(loop.system, frequencies, transfer) if decisive is None else coarse_margins_of(frequencies, transfer)
 
 
 def coarse_plant(loop: Loop) -> ComplexArray:

@@ -11,7 +11,8 @@ from armctl.collision.clearance import clearance_of
 from armctl.core.errors import InputError, PlanError
 from armctl.core.validation import Array, IntArray, integer
 from armctl.design.arm_excitation import CLEARANCE_M, TORQUE_SHARE, Excitation, Multisine, excitation_along
-from armctl.motion import JointTrajectory, check_torque
+from armctl.motion.torque_limits import check_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Samples, hermite, sample
 from armctl.robot.arm import Arm
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.core.validation import Array
+from armctl.core.validation import Array, IntArray
 from armctl.design.state_space import ComplexArray, StateSpace
 
 _MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
@@ -86,7 +86,7 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
         delay_margin=float(delay_margin),
         gain_margin=inf,
         phase_margin=float(phase_margin),
-        peak_sensitivity=float(_peak_sensitivities(transfer).max()),
+        peak_sensitivity=float(_sensitivities(transfer).max()),
         spectral_radius=radius,
         reason="",
     )
@@ -114,17 +114,25 @@ class CoarseMargins(NamedTuple):
     Attributes:
         delay: (n,) s, for the eigenvalues of the loop transfer function in the order of their magnitudes.
         peak_sensitivity: (n,) of the joints, with the loops of the other joints closed.
+        decisive: Indices of the frequencies that both depend on, as they do after a small change of the loop.
     """
 
     delay: Array
     peak_sensitivity: Array
+    decisive: IntArray
 
 
 def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray) -> CoarseMargins:
     """Margins from the loop transfer function (k, n, n) on `coarse_grid`: for searches."""
     n = transfer.shape[1]
     if not _spectral_radius(loop, 1.0) < 1.0:
-        return CoarseMargins(np.zeros(n), np.full(n, inf))
+        return CoarseMargins(np.zeros(n), np.full(n, inf), np.arange(len(frequencies)))
+    return coarse_margins_of(frequencies, transfer)
+
+
+def coarse_margins_of(frequencies: Array, transfer: ComplexArray) -> CoarseMargins:
+    """As `coarse_margins` of a stable loop, for which the decisive frequencies are enough."""
+    n = transfer.shape[1]
     eigenvalues = np.linalg.eigvals(transfer)
     eigenvalues = np.take_along_axis(eigenvalues, np.abs(eigenvalues).argsort(axis=1), axis=1)
     size = np.log(np.abs(eigenvalues))
@@ -138,13 +146,15 @@ def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray)
     w = frequencies[intervals] * (frequencies[intervals + 1] / frequencies[intervals]) ** share
     delay = np.full(n, inf)
     np.minimum.at(delay, ranks, (start + share * turn + pi) % (2 * pi) / w)
-    return CoarseMargins(delay, _peak_sensitivities(transfer))
+    sensitivities = _sensitivities(transfer)
+    decisive = np.unique(np.concatenate([intervals, intervals + 1, sensitivities.argmax(axis=0)]))
+    return CoarseMargins(delay, sensitivities.max(axis=0), decisive)
 
 
-def _peak_sensitivities(transfer: ComplexArray) -> Array:
-    """(n,) Ms of each joint of a loop transfer function (k, n, n), with the loops of the other joints closed."""
+def _sensitivities(transfer: ComplexArray) -> Array:
+    """(k, n) sensitivity of each joint for a loop transfer function (k, n, n), with the loops of the other joints closed."""
     sensitivity = np.linalg.inv(np.eye(transfer.shape[1]) + transfer)
-    return np.asarray(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max(axis=0), dtype=np.float64)
+    return np.asarray(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

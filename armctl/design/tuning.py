@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -14,11 +14,12 @@ from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains, sample_configu
 from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.observer_gains import observer_gains
 from armctl.core.errors import InputError, ModelError, UnknownNameError
-from armctl.core.validation import Array, frozen, number, shown
+from armctl.core.validation import Array, IntArray, frozen, number, shown
 from armctl.design.frequency_response import standstill
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop, coarse_margins_with, coarse_plant
 from armctl.design.margins import configurations, judged_loops
+from armctl.design.stability import CoarseMargins
 from armctl.design.state_space import ComplexArray, linear_controller
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import ENCODER_NOISE_RAD, NOMINAL, Plant, read_plant
@@ -141,7 +142,8 @@ def tune(
         peak_sensitivity: The largest permitted Ms, above 1.
         chatter: N m (N), the largest permitted torque noise at rest with an encoder of 1e-5 rad; None for no bound.
         poses: Number of configurations at which the result is judged: home and random ones, always the same; or the
-            configurations themselves, (k, n) rad, for which the gains are then designed, too.
+            configurations themselves, (k, n) rad, for which the gains are then designed, too. Bounds that only a rare
+            configuration violates, such as one near a singularity for "impedance", take hundreds to find.
         plants: The simulated plants, all with one control period; by default the one that does not differ from the model.
 
     Returns:
@@ -188,6 +190,8 @@ def tune(
     if x is None or worst:
         reason = f"no gains of {law} satisfy delay margin {1e3 * bounds.delay_margin:g} ms and Ms {bounds.peak_sensitivity:g}"
         reason += "" if chatter is None else f" and torque noise {chatter:g} N m"
+        if any(linearizer.is_elastic for linearizer in judge.linearizers):
+            reason += " on elastic joints, which it takes as rigid (ElasticFeedforward knows the springs)"
         reason += f" on {arm.name:.80}, among {min(_SCALES):g} to {max(_SCALES):g} times the default ones"
         return Tuning(False, default, (), {}, before, before, reason)
     tuned = family.controller(x)
@@ -200,9 +204,8 @@ class _Bounds:
     peak_sensitivity: float
     chatter: float
 
-    def left(self, loop: Loop, plant: ComplexArray | None = None, reserve: float = 1.0) -> Array:
+    def left(self, found: CoarseMargins, reserve: float) -> Array:
         """(2, n) what is left of the bounds on delay margin and Ms; -inf where the loop is unstable."""
-        found = loop.coarse_margins() if plant is None else coarse_margins_with(plant, loop)
         with np.errstate(divide="ignore"):
             delay = np.log(found.delay / (reserve * self.delay_margin))
             sensitivity = np.log(self.peak_sensitivity / (reserve * found.peak_sensitivity))
@@ -306,6 +309,9 @@ class _Case:
         law = linear_controller(linearizer.arm, controller, self.loop.q, self.loop.dt, linearizer.plant.continuous)
         return self.loop.with_law(law)
 
+    def margins(self, controller: Controller, decisive: IntArray | None = None) -> CoarseMargins:
+        return coarse_margins_with(self.transfer, self.with_controller(controller), decisive)
+
 
 class _Design:
     """Gains within bounds at some configurations."""
@@ -363,7 +369,9 @@ class _Design:
             active = np.flatnonzero(left < _ACTIVE + size)
             cases = sorted({int(k) // self._bounds_per_case for k in active if k < len(left) - 1})
             steps = _DIFFERENCE * np.eye(family.size)
-            changes = [self._evaluated(family.controller(x + step), cases) for step in steps]
+            controller = family.controller(x)
+            decisive = {k: self._cases[k].margins(controller).decisive for k in cases}
+            changes = [self._evaluated(family.controller(x + step), decisive) for step in steps]
             slope = np.array([(each[1] - cost) / _DIFFERENCE for each in changes])
             slopes = np.array([(each[0] - left)[active] / _DIFFERENCE for each in changes]).T
             is_usable = np.isfinite(slopes).all(axis=1)
@@ -400,20 +408,19 @@ class _Design:
                 break
         return x
 
-    def _evaluated(self, controller: Controller, cases: Sequence[int] | None = None) -> tuple[Array, float]:
+    def _evaluated(self, controller: Controller, decisive: Mapping[int, IntArray] | None = None) -> tuple[Array, float]:
         """What is left of the bounds, 2n numbers of each case and one of torque noise, and the logarithm of the displacement.
 
         Args:
-            cases: Indices of those to examine; the others have NaN.
+            decisive: The cases to examine, by their indices, with the frequencies that decide; the others have NaN.
         """
         size = self._bounds_per_case
-        left = np.full(size * len(self._cases) + 1, np.nan if cases is not None else np.inf)
+        left = np.full(size * len(self._cases) + 1, np.inf if decisive is None else np.nan)
         cost = []
         try:
-            for k in range(len(self._cases)) if cases is None else cases:
-                case = self._cases[k]
-                loop = case.with_controller(controller)
-                left[size * k : size * (k + 1)] = self._bounds.left(loop, case.transfer, self.reserve).ravel()
+            for k in range(len(self._cases)) if decisive is None else decisive:
+                found = self._cases[k].margins(controller, None if decisive is None else decisive[k])
+                left[size * k : size * (k + 1)] = self._bounds.left(found, self.reserve).ravel()
             for case in self._cases[:_COST_CASES]:
                 compliance = case.with_controller(controller).joint_compliance([_COMPLIANCE_FREQUENCY])[0]
                 cost.append(np.abs(compliance * self._arm.limits.tau_max) ** 2)
@@ -449,7 +456,7 @@ class _Judge:
 
     def __init__(self, linearizers: Sequence[Linearizer], poses: int | ArrayLike, design_poses: int, bounds: _Bounds):
         arm = linearizers[0].arm
-        self._linearizers = linearizers
+        self.linearizers = linearizers
         self._poses = poses
         self._bounds = bounds
         given = configurations(arm, poses)
@@ -458,7 +465,7 @@ class _Judge:
 
     def loops(self, controller: Controller) -> list[Loop]:
         """The loops of a controller."""
-        return judged_loops(self._linearizers, controller, self._poses)
+        return judged_loops(self.linearizers, controller, self._poses)
 
     def violating(self, loops: Sequence[Loop]) -> list[Loop]:
         """Those that violate a bound."""
@@ -473,7 +480,7 @@ class _Judge:
         return LoopFigures(
             delay_margin=min(each.delay_margin for each in found),
             peak_sensitivity=max(each.peak_sensitivity for each in found),
-            chatter=torque_noise(self._linearizers[0], controller),
+            chatter=torque_noise(self.linearizers[0], controller),
             compliance=max(float(loop.compliance([_COMPLIANCE_FREQUENCY])[0]) for loop in loops),
         )
 

@@ -14,7 +14,7 @@ if find_spec("gymnasium") is None:
 from armctl.envs.arm_env import ArmEnv
 from armctl.envs.demonstrations import DemonstrationsResult, save_demonstrations
 from armctl.envs.experts import ExpertPolicy
-from armctl.envs.registration import register
+from armctl.envs.tasks import register
 from armctl.envs.vector_env import ArmVectorEnv
 
 __all__ = ["ArmEnv", "ArmVectorEnv", "DemonstrationsResult", "ExpertPolicy", "save_demonstrations"]

@@ -19,19 +19,12 @@ _STOP_MARGIN = 1e-3  # of the range of a joint
 
 @dataclass(frozen=True)
 class ActionMode:
-    """How the controller uses an action, whose numbers are in [-1, 1].
+    """How the controller uses an action, whose numbers are in [-1, 1]."""
 
-    Attributes:
-        kind: What the compiled step calls it.
-        joint_scale: Fraction of the way at full speed that a full action moves the target of a joint in a step.
-        position_scale: m, of a full action.
-        rotation_scale: rad, of a full action.
-    """
-
-    kind: _core.ActionMode
-    joint_scale: float = 0.5
-    position_scale: float = 0.0
-    rotation_scale: float = 0.0
+    kind: _core.ActionMode  # what the compiled step calls it
+    joint_scale: float = 0.5  # fraction of the way at full speed that a full action moves the target of a joint in a step
+    position_scale: float = 0.0  # m, of a full action
+    rotation_scale: float = 0.0  # rad, of a full action
 
     def size(self, arm: Arm) -> int:
         """The numbers of an action: one a joint, or 6 of the tip (3 where the arm has fewer than 6 joints)."""
@@ -50,12 +43,10 @@ ACTION_MODES = {
 
 
 def target_limits(arm: Arm) -> Limits:
-    """The limits of an arm, with finite positions for joint targets.
+    """The limits of an arm, with finite positions for joint targets; InputError if a joint lacks another one.
 
-    Targets keep a thousandth of a joint's range away from its stops; those of a joint without stops stay within a turn of home.
-
-    Raises:
-        InputError: A joint has no limit of its speed, acceleration or torque.
+    Targets keep a thousandth of a joint's range away from its stops; those of a joint without stops stay within a turn of
+    home.
     """
     limits = arm.limits
     for what in ("v_max", "a_max", "tau_max"):
@@ -68,9 +59,5 @@ def target_limits(arm: Arm) -> Limits:
 
 
 def read_mode(action: object) -> ActionMode:
-    """The mode of a name.
-
-    Raises:
-        InputError: There is no such mode.
-    """
+    """The mode of a name; InputError if there is none."""
     return ACTION_MODES[choice("action", action, ACTION_MODES)]

@@ -8,10 +8,9 @@ import gymnasium
 
 from armctl.core.errors import InputError
 from armctl.core.validation import as_array, flag, integer
-from armctl.envs.batch import Batch
+from armctl.envs.batch import Batch, action_space, observation_space
 from armctl.envs.screen import Screen
-from armctl.envs.source import Robot
-from armctl.envs.spaces import action_space, observation_space
+from armctl.envs.tasks.interface import Robot
 
 
 class ArmEnv(gymnasium.Env):

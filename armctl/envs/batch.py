@@ -5,37 +5,99 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
-from armctl.core.validation import BoolArray, as_array, choice, flag, integer, shown
+from armctl.core.pose import matrix_from_quat
+from armctl.core.validation import Array, BoolArray, as_array, choice, flag, integer, shown
 from armctl.envs.actions import read_mode
-from armctl.envs.observation import Observations, Observer
 from armctl.envs.randomization import Randomization
 from armctl.envs.rows import Rows
-from armctl.envs.source import ArmSource, Robot
 from armctl.envs.tasks import TASKS
+from armctl.envs.tasks.interface import ArmSource, Robot, Task
 from armctl.study.factors import Range
 
 REWARDS = ("dense", "sparse")
 _MIN_HORIZON = 50
+Observations = NDArray[np.float32]
+
+
+class Observer:
+    """Makes observations of all rows.
+
+    An observation has the positions and velocities of the joints, how far their targets are, the tip, what belongs to the task
+    (opening of the gripper; object, its vertical axis, its velocity, and the vector to it from the tip; obstacle and the vector
+    to it; velocity of the goal), the goal, and the vector from the controlled point to the goal.
+    """
+
+    def __init__(self, task: Task, rows: Rows):
+        n = task.arm.n
+        widths = {"q": n, "v": n, "to_target": n, "tip": 3}
+        if task.uses_gripper:
+            widths["opening"] = 1
+        if task.object:
+            widths |= {"object": 3, "object_axis": 3, "object_velocity": 3, "tip_to_object": 3}
+        if task.obstacle:
+            widths |= {"obstacle": 3, "tip_to_obstacle": 3}
+        if task.moves_goal:
+            widths["goal_velocity"] = 3
+        widths |= {"goal": 3, "to_goal": 3}
+        ends = np.cumsum(list(widths.values())).tolist()
+        # Where each quantity is
+        self.columns = {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
+        self.size: int = ends[-1]  # the numbers of an observation
+        self._achieved = self.columns["object" if task.object else "tip"]
+        self._rows = rows
+        self._numbers = np.zeros((rows.count, self.size))
+        self._parts = {name: self._numbers[:, columns] for name, columns in self.columns.items()}
+
+    def observe(self, goal: Array, goal_velocity: Array, obstacle: Array) -> Observations:
+        """(count, size) the observations now, as a new array, with goals, their velocities and obstacles (count, 3) each."""
+        rows = self._rows
+        parts = self._parts
+        tip = rows.tip[:, :3]
+        measured = rows.signals.measured(rows.q)
+        parts["q"][:] = measured
+        parts["v"][:] = rows.v
+        np.subtract(rows.target, measured, out=parts["to_target"])
+        parts["tip"][:] = tip
+        if "opening" in parts:
+            parts["opening"][:, 0] = rows.opening
+        if "object" in parts:
+            parts["object"][:] = rows.object[:, :3]
+            parts["object_axis"][:] = matrix_from_quat(rows.object[:, 3:7].T)[:, 2].T
+            parts["object_velocity"][:] = rows.object[:, 7:10]
+            np.subtract(rows.object[:, :3], tip, out=parts["tip_to_object"])
+        if "obstacle" in parts:
+            parts["obstacle"][:] = obstacle
+            np.subtract(obstacle, tip, out=parts["tip_to_obstacle"])
+        if "goal_velocity" in parts:
+            parts["goal_velocity"][:] = goal_velocity
+        parts["goal"][:] = goal
+        np.subtract(goal, rows.object[:, :3] if "object" in parts else tip, out=parts["to_goal"])
+        return self._numbers.astype(np.float32)
+
+    def achieved(self, observations: Observations) -> Observations:
+        """(..., 3) m, the controlled point."""
+        return observations[..., self._achieved]
+
+    def desired(self, observations: Observations) -> Observations:
+        """(..., 3) m, the goals."""
+        return observations[..., self.columns["goal"]]
+
+    def with_goals(self, observations: Observations) -> dict[str, Observations]:
+        """Observations (..., size) as a dictionary, with what is achieved and what is desired."""
+        return {
+            "observation": observations,
+            "achieved_goal": self.achieved(observations),
+            "desired_goal": self.desired(observations),
+        }
 
 
 class Batch:
-    """Several episodes of one task.
-
-    Attributes:
-        action: The name of what the actions mean.
-        observer: What is observed.
-        horizon: Steps of an episode.
-        step_time: s, of a step.
-        goal: (count, 3) m, the goal of each episode.
-        goal_number: (count,) which of the task's goals it is.
-        obstacle: (count, 3) m, the obstacle of each episode.
-        was_touched: (count,) whether the obstacle was touched in this episode.
-        steps: (count,) steps since the start of each episode.
-    """
+    """Several episodes of one task."""
 
     def __init__(
         self,
@@ -63,14 +125,14 @@ class Batch:
         count = integer("num_envs", count, 1)
         threads = min(integer("threads", threads, 1), count)
         ticks = integer("ticks", ticks, 1)
-        self.action = action
+        self.action = action  # the name of what the actions mean
         self._is_sparse = choice("reward", reward, REWARDS) == "sparse"
         self.task = task_class(ArmSource(robot, load_options), ticks)
         self.arm = self.task.arm
         self._randomization = Randomization.read(randomize, has_object=bool(self.task.object))
-        self.step_time = ticks * self.arm.dt
+        self.step_time = ticks * self.arm.dt  # s, of a step
         shortest = max(_MIN_HORIZON, int(np.ceil(self.task.min_duration / self.step_time)))
-        self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)
+        self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)  # steps of an episode
         self.rows = Rows(
             self.task,
             mode,
@@ -81,20 +143,16 @@ class Batch:
             has_contacts=has_contacts,
             randomization=self._randomization,
         )
-        self.observer = Observer(self.task, self.rows)
-        self.goal = np.zeros((count, 3))
-        self.goal_number = np.zeros(count, np.int64)
-        self.obstacle = np.zeros((count, 3))
-        self.was_touched = np.zeros(count, bool)
-        self.steps = np.zeros(count, np.int64)
+        self.observer = Observer(self.task, self.rows)  # what is observed
+        self.goal = np.zeros((count, 3))  # (count, 3) m, the goal of each episode
+        self.goal_number = np.zeros(count, np.int64)  # (count,) which of the task's goals it is
+        self.obstacle = np.zeros((count, 3))  # (count, 3) m, the obstacle of each episode
+        self.was_touched = np.zeros(count, bool)  # (count,) whether the obstacle was touched in this episode
+        self.steps = np.zeros(count, np.int64)  # (count,) steps since the start of each episode
         self._goal_velocity = np.zeros((count, 3))
 
     def reset(self, which: Iterable[int], rngs: Iterable[np.random.Generator]) -> None:
-        """Starts new episodes.
-
-        Args:
-            rngs: For each of them, what everything is drawn from.
-        """
+        """Starts new episodes; everything of each is drawn from its generator."""
         chosen = []
         for row, rng in zip(which, rngs, strict=True):
             episode = self.task.draw(rng)
@@ -111,14 +169,7 @@ class Batch:
         self._move_goals()
 
     def step(self, actions: Any) -> None:
-        """Steps all episodes.
-
-        Args:
-            actions: (count, k) in [-1, 1].
-
-        Raises:
-            InputError: The actions have another shape, or one of them is not a number.
-        """
+        """Steps all episodes by actions (count, k) in [-1, 1]; InputError if they are something else."""
         given = as_array("action", actions)
         if given.shape != self.rows.action.shape:
             raise InputError(f"action: expected shape {self.rows.action.shape}, got {given.shape}")
@@ -150,13 +201,8 @@ class Batch:
     def reward(self, achieved: Any, desired: Any, info: Any) -> NDArray[np.floating]:
         """Rewards of goals (..., 3) that were achieved and desired, for hindsight replay.
 
-        Args:
-            achieved: (..., 3) m.
-            desired: (..., 3) m.
-            info: The information of the steps, which says whether the obstacle was touched: a dictionary, or one for each.
-
-        Raises:
-            InputError: The goals have another shape, or the information is of another kind.
+        `info` says whether the obstacle was touched: the dictionary of a step, or one for each goal. InputError if it
+        does not fit.
         """
         goals = (as_array("achieved_goal", achieved), as_array("desired_goal", desired))
         for name, goal in zip(("achieved_goal", "desired_goal"), goals, strict=True):
@@ -181,8 +227,21 @@ class Batch:
         return self.steps >= self.horizon
 
     def _move_goals(self) -> None:
-        """Puts the goals where they are after these steps."""
         self.goal[:] = self.task.goals_at(self.goal_number, self.steps)
         if self.task.moves_goal:
             ahead = self.task.goals_at(self.goal_number, self.steps + 1)
             np.divide(ahead - self.goal, self.step_time, out=self._goal_velocity)
+
+
+def action_space(batch: Batch) -> gymnasium.spaces.Box:
+    """The actions of one environment: numbers in [-1, 1]."""
+    return gymnasium.spaces.Box(-1.0, 1.0, (batch.rows.action.shape[1],), np.float32)
+
+
+def observation_space(batch: Batch, has_goals: bool) -> gymnasium.spaces.Space[Any]:
+    """The observations of one environment, a vector or a dictionary with goals."""
+    box = gymnasium.spaces.Box(-np.inf, np.inf, (batch.observer.size,), np.float32)
+    if not has_goals:
+        return box
+    goal = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    return gymnasium.spaces.Dict({"observation": box, "achieved_goal": goal, "desired_goal": goal})

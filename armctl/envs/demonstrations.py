@@ -187,7 +187,6 @@ def _play(env: ArmEnv, policy: _Policy, screen: Screen | None, seed: int) -> _Re
 
 
 def _writer(env: ArmEnv, folder: Path, screen: Screen | None) -> LeRobotWriter:
-    """The data set of an environment."""
     batch = env.batch
     rate = round(1.0 / batch.step_time)
     if abs(rate * batch.step_time - 1.0) > _FREQUENCY_TOLERANCE:
@@ -211,7 +210,6 @@ def _writer(env: ArmEnv, folder: Path, screen: Screen | None) -> LeRobotWriter:
 
 
 def _observation_names(env: ArmEnv) -> list[str]:
-    """A name for each number of an observation."""
     joints = env.batch.arm.joint_names
     names: list[str] = []
     for quantity, columns in env.batch.observer.columns.items():

@@ -38,18 +38,12 @@ Statistics = dict[str, NDArray[Any]]
 
 
 class Feature(NamedTuple):
-    """A quantity of each frame.
+    """A quantity of each frame."""
 
-    Attributes:
-        dtype: "float32", "int64" or "bool".
-        names: Of its numbers; None for a single number.
-    """
-
-    dtype: str
-    names: Sequence[str] | None = None
+    dtype: str  # "float32", "int64" or "bool"
+    names: Sequence[str] | None = None  # of its numbers; None for a single number
 
     def info(self) -> dict[str, Any]:
-        """The feature in `info.json`."""
         return {
             "dtype": self.dtype,
             "shape": [len(self.names or [""])],
@@ -58,27 +52,14 @@ class Feature(NamedTuple):
 
 
 class LeRobotWriter:
-    """Writes a data set episode by episode; `finish` writes what describes it.
-
-    Attributes:
-        episodes: Episodes so far.
-        frames: Frames so far.
-    """
+    """Writes a data set episode by episode; `finish` writes what describes it."""
 
     def __init__(
         self, folder: Path, *, frames_per_second: int, robot: str, features: Mapping[str, Feature], size: tuple[int, int] | None
     ):
-        """A data set without episodes.
+        """A data set without episodes in an existing folder; `size` is that of the pictures, None without pictures.
 
-        Args:
-            folder: Where it is written; the folder exists.
-            frames_per_second: 1/s.
-            robot: What moves.
-            features: What each frame has, by name, besides pictures and indices.
-            size: Width and height of the pictures; None without pictures.
-
-        Raises:
-            NotInstalledError: Packages for Parquet or films are missing.
+        NotInstalledError if packages for Parquet or films are missing.
         """
         try:
             import pandas  # noqa: F401
@@ -90,8 +71,8 @@ class LeRobotWriter:
                 import av  # noqa: F401
             except ImportError:
                 raise NotInstalledError.of_extra("films of episodes need an encoder", "view") from None
-        self.episodes = 0
-        self.frames = 0
+        self.episodes = 0  # episodes so far
+        self.frames = 0  # frames so far
         self._folder = folder
         self._rate = frames_per_second
         self._robot = robot
@@ -109,13 +90,7 @@ class LeRobotWriter:
         self._video_frames = 0
 
     def add(self, task: str, values: Mapping[str, NDArray[Any]], images: Iterable[Image] = ()) -> None:
-        """Adds an episode.
-
-        Args:
-            task: What is done, in words.
-            values: (k, size) or (k,) of each feature.
-            images: k pictures, if the data set has them.
-        """
+        """Adds an episode of a task, in words: values (k, size) or (k,) of each feature, and k pictures if there are any."""
         if task not in self._tasks:
             self._tasks.append(task)
         length = len(next(iter(values.values())))
@@ -157,7 +132,6 @@ class LeRobotWriter:
         self._write_json("info.json", self._info())
 
     def close(self) -> None:
-        """Closes the files."""
         if self._data is not None:
             self._data.close()
             self._data = None
@@ -216,7 +190,6 @@ class LeRobotWriter:
         return path
 
     def _info(self) -> dict[str, Any]:
-        """The contents of `info.json`."""
         features = {name: feature.info() for name, feature in self._features.items()}
         if self._size is not None:
             width, height = self._size

@@ -19,43 +19,23 @@ _OF_OBJECT = ("object_size", "object_mass", "object_friction")
 
 
 class ObjectFactors(NamedTuple):
-    """How the loose object differs from its model.
+    """How the loose object differs from its model."""
 
-    Attributes:
-        object_size: Factor on its lengths.
-        object_mass: kg; None for that of the model.
-        object_friction: Coefficient of friction; None for that of the model.
-    """
-
-    object_size: float = 1.0
-    object_mass: float | None = None
-    object_friction: float | None = None
+    object_size: float = 1.0  # factor on its lengths
+    object_mass: float | None = None  # kg; None for that of the model
+    object_friction: float | None = None  # coefficient of friction; None for that of the model
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """Ranges from which each episode draws.
+    """Ranges from which each episode draws."""
 
-    Attributes:
-        plant: Ranges of attributes of a plant.
-        object: Ranges of attributes of the loose object.
-    """
-
-    plant: Mapping[str, Range]
-    object: Mapping[str, Range]
+    plant: Mapping[str, Range]  # ranges of attributes of a plant
+    object: Mapping[str, Range]  # ranges of attributes of the loose object
 
     @classmethod
     def read(cls, ranges: object, *, has_object: bool) -> Randomization:
-        """Ranges as a caller gave them.
-
-        Args:
-            ranges: A mapping from names to ranges, or None.
-            has_object: Whether there is a loose object.
-
-        Raises:
-            InputError: It is no mapping, a value is no Range, or an attribute cannot vary here.
-            UnknownNameError: There is no such attribute.
-        """
+        """Ranges from a caller's mapping or None, checked: for the plant, and for the loose object if there is one."""
         instance("randomize", {} if ranges is None else ranges, Mapping, "{'payload': armctl.Range(0.0, 0.5)} is one")
         given: dict[str, Range] = dict(cast(Mapping[str, Range], ranges or {}))
         allowed = (*_OF_PLANT, *(_OF_OBJECT if has_object else ()))
@@ -77,7 +57,6 @@ class Randomization:
 
     @property
     def is_noisy(self) -> bool:
-        """Whether measured positions have noise."""
         return "encoder_noise" in self.plant
 
     @property

@@ -15,7 +15,6 @@ from armctl.core.log import SimulationError
 from armctl.core.validation import Array, IntArray
 from armctl.envs.actions import ActionMode, target_limits
 from armctl.envs.randomization import ObjectFactors, Randomization
-from armctl.envs.signals import Signals
 from armctl.envs.simulated_arms import SimulatedArms
 from armctl.envs.tasks.interface import Episode, Task
 from armctl.sim.mujoco_library import mujoco_api
@@ -26,25 +25,44 @@ _MAX_SHARE_PER_TICK = 0.2
 _IK_DAMPING = 1e-4  # of J J^T, whose entries are squares of m and rad
 
 
-class Rows:
-    """Several copies of an arm, each with its own plant, state and target.
+class Signals:
+    """Noise of what is measured on several copies of an arm in the next step.
 
-    Attributes:
-        arm: The model of the controllers.
-        ticks: Control periods in a step.
-        mode: What the actions mean.
-        signals: What disturbs measurements and commands.
-        q: (count, n) rad, the positions.
-        v: (count, n) rad/s, the velocities.
-        target: (count, n) rad, the joint targets of the actions.
-        tip: (count, 12) position and rotation matrix of the tip.
-        action: (count, k), the actions of the next step.
-        limits: (5, n) least and greatest position, greatest speed, acceleration and torque.
-        opening: (count,) of the gripper, from closed (0) to open (1).
-        object: (count, 13) position, quaternion, velocity and angular velocity of the loose object.
-        touched: (count,) ticks of the last step at which something touched the obstacle.
-        simulated: The models and states of the copies.
+    The velocity is differenced from the measured positions, as that of `Plant` without a velocity sensor.
     """
+
+    def __init__(self, count: int, ticks: int, n: int, dt: float, *, is_noisy: bool):
+        """Signals without noise, for steps of so many ticks of dt s."""
+        # (count, ticks, 2, n) rad and rad/s, on measured positions and velocities; empty if there is none
+        self.noise = np.zeros((count if is_noisy else 0, ticks, 2, n))
+        self._dt = dt
+        self._deviation = np.zeros(count)
+        self._rngs: list[np.random.Generator | None] = [None] * count
+
+    def reset(self, row: int, plant: Plant, rng: np.random.Generator) -> None:
+        """Starts an episode of a copy with the noise of a plant."""
+        if len(self.noise):
+            self._deviation[row] = plant.encoder_noise
+            self._rngs[row] = np.random.default_rng(int(rng.integers(2**63)))
+            self.noise[row] = 0.0
+
+    def draw(self) -> None:
+        if not len(self.noise):
+            return
+        last = self.noise[:, -1, 0].copy()
+        positions = self.noise[:, :, 0]
+        for row, rng in enumerate(self._rngs):
+            if rng is not None:
+                positions[row] = self._deviation[row] * rng.standard_normal(positions.shape[1:])
+        self.noise[:, :, 1] = np.diff(positions, axis=1, prepend=last[:, None]) / self._dt
+
+    def measured(self, q: Array) -> Array:
+        """(count, n) rad, positions (count, n) as they are measured now."""
+        return q + self.noise[:, -1, 0] if len(self.noise) else q
+
+
+class Rows:
+    """Several copies of an arm, each with its own plant, state and target."""
 
     def __init__(
         self,
@@ -58,39 +76,32 @@ class Rows:
         has_contacts: bool,
         randomization: Randomization,
     ):
-        """Copies of an arm at home.
-
-        Args:
-            task: The task, whose arm it is.
-            mode: What the actions mean.
-            ticks: Control periods in a step.
-            has_contacts: Whether contacts are simulated.
-            randomization: What will vary.
-
-        Raises:
-            UnknownNameError: There is no such controller.
-        """
+        """Copies of an arm at home; UnknownNameError if there is no such controller."""
         arm = task.arm
         n = arm.n
-        self.arm = arm
+        self.arm = arm  # the model of the controllers
         self.count = count
-        self.ticks = ticks
-        self.mode = mode
+        self.ticks = ticks  # control periods in a step
+        self.mode = mode  # what the actions mean
+        # What disturbs measurements and commands
         self.signals = Signals(count, ticks, n, arm.dt, is_noisy=randomization.is_noisy)
         limits = target_limits(arm)
+        # (5, n) least and greatest position, greatest speed, acceleration and torque
         self.limits = np.array([limits.q_min, limits.q_max, limits.v_max, limits.a_max, limits.tau_max])
-        self.action = np.zeros((count, mode.size(arm) + int(task.uses_gripper)))
-        self.q = np.tile(arm.home, (count, 1))
-        self.v = np.zeros((count, n))
-        self.target = self.q.copy()
-        self.tip = np.zeros((count, 12))
-        self.opening = np.ones(count)
+        self.action = np.zeros((count, mode.size(arm) + int(task.uses_gripper)))  # (count, k), the actions of the next step
+        self.q = np.tile(arm.home, (count, 1))  # (count, n) rad, the positions
+        self.v = np.zeros((count, n))  # (count, n) rad/s, the velocities
+        self.target = self.q.copy()  # (count, n) rad, the joint targets of the actions
+        self.tip = np.zeros((count, 12))  # (count, 12) position and rotation matrix of the tip
+        self.opening = np.ones(count)  # (count,) of the gripper, from closed (0) to open (1)
+        # (count, 13) position, quaternion, velocity and angular velocity of the loose object
         self.object = np.zeros((count, 13))
-        self.touched = np.zeros(count, np.int64)
+        self.touched = np.zeros(count, np.int64)  # (count,) ticks of the last step at which something touched the obstacle
         self._q_ref = self.q.copy()
         self._v_ref = np.zeros((count, n))
         self._grip = task.grip if task.uses_gripper else None
         self._cuts = np.linspace(0, count, threads + 1).astype(int).tolist()
+        # The models and states of the copies
         self.simulated = SimulatedArms(task, np.diff(self._cuts), has_contacts=has_contacts)
         law = controller_by_name(controller, arm)
         assert has_compiled_law(law, n)  # as all controllers that have a name
@@ -100,12 +111,7 @@ class Rows:
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def step(self) -> None:
-        """Steps all copies by their actions.
-
-        Raises:
-            InputError: Another thread steps them.
-            SimulationError: MuJoCo could not make a step.
-        """
+        """Steps all copies by their actions; SimulationError if MuJoCo could not make a step."""
         self.signals.draw()
         if self._pool is None:
             errors = [self._core.step(0, self.count)]
@@ -117,15 +123,7 @@ class Rows:
     def reset(
         self, row: int, episode: Episode, plant: Plant | None, factors: ObjectFactors | None, rng: np.random.Generator
     ) -> None:
-        """Starts an episode of a copy, at rest.
-
-        Args:
-            row: Which copy.
-            episode: Where everything is.
-            plant: How it differs from the model from now on; None leaves it as it is.
-            factors: How the loose object differs; None leaves it as it is.
-            rng: What the noise is drawn from.
-        """
+        """Starts an episode of a copy, at rest; a plant or factors of the object that are None stay as they are."""
         self.q[row] = episode.q
         self.v[row] = 0.0
         self.target[row] = episode.q
@@ -140,24 +138,15 @@ class Rows:
         self._core.restart(row, (plant or NOMINAL).delay)
 
     def rehearse(self, action: Array, target: Array, q_ref: Array, v_ref: Array) -> None:
-        """Moves the targets and the references of the joints as a step does; the arms stay where they are.
-
-        Args:
-            action: (k,) of the arm.
-            target: (n,) rad, changed.
-            q_ref: (n,) rad, the positions of the reference; changed.
-            v_ref: (n,) rad/s, its velocities; changed.
-        """
+        """Changes targets and references (n,) of the joints as a step with an action does; the arms stay where they are."""
         self._core.rehearse(np.ascontiguousarray(action, dtype=np.float64), target, q_ref, v_ref)
 
     def find_tips(self, rows: Sequence[int] | IntArray) -> None:
-        """Computes the tips of copies that were reset."""
         positions, rotations = self.arm.fk_many(self.q[rows])
         self.tip[rows, :3] = positions
         self.tip[rows, 3:] = rotations.reshape(-1, 9)
 
     def close(self) -> None:
-        """Ends the threads."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None

@@ -17,32 +17,17 @@ RENDER_MODES = ("rgb_array", "human")
 
 
 class SceneState(NamedTuple):
-    """Where everything in a scene is.
+    """Where everything in a scene is."""
 
-    Attributes:
-        qpos: (nq,) positions.
-        mocap_pos: (nmocap, 3) m, of the marker of the goal and of the obstacle.
-    """
-
-    qpos: Array
-    mocap_pos: Array
+    qpos: Array  # (nq,) positions
+    mocap_pos: Array  # (nmocap, 3) m, of the marker of the goal and of the obstacle
 
 
 class Screen:
     """Shows the first row of a batch, and the goal as the target marker."""
 
     def __init__(self, batch: Batch, mode: str, width: int, height: int):
-        """A screen; pictures or the page are opened when they are first needed.
-
-        Args:
-            mode: "rgb_array" or "human".
-            width: Pixels of a picture.
-            height: Pixels of a picture.
-
-        Raises:
-            InputError: There is no such mode, or no picture of this size.
-            NotInstalledError: The page needs a package that is missing.
-        """
+        """A screen; pictures or the page are opened when they are first needed."""
         self._batch = batch
         self._arm = batch.arm
         self._data = mujoco.MjData(self._arm.model)
@@ -57,11 +42,9 @@ class Screen:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of a picture, pixels."""
         return self._width, self._height
 
     def state(self) -> SceneState:
-        """Where everything is now."""
         self._place(self._batch.rows.q[0])
         return SceneState(self._data.qpos.copy(), self._data.mocap_pos.copy())
 
@@ -89,7 +72,6 @@ class Screen:
         self._viewer.after_ticks(self._data, self._batch.step_time)
 
     def close(self) -> None:
-        """Closes the renderer and the page."""
         if self._renderer is not None:
             self._renderer.close()
         if self._viewer is not None:

@@ -21,12 +21,7 @@ class SimulatedArms:
     """Several copies of an arm on `mj_step`. Those of a thread share a model until one gets a plant or an object of its own."""
 
     def __init__(self, task: Task, counts: Sequence[int] | IntArray, *, has_contacts: bool):
-        """Copies at home.
-
-        Args:
-            task: The task, whose arm it is.
-            has_contacts: Whether contacts are simulated.
-        """
+        """Copies at home, so many (`counts`) for each thread."""
         arm = task.arm
         self._arm = arm
         self._has_contacts = has_contacts
@@ -47,22 +42,13 @@ class SimulatedArms:
         self._datas = [mujoco.MjData(model) for model in self._models]
 
     def data(self, row: int) -> mujoco.MjData:
-        """The state of a copy."""
         return self._datas[row]
 
     def model(self, row: int) -> mujoco.MjModel:
-        """The model of a copy."""
         return self._models[row]
 
     def reset(self, row: int, episode: Episode, plant: Plant | None, factors: ObjectFactors | None) -> None:
-        """Starts an episode of a copy, at rest.
-
-        Args:
-            row: Which copy.
-            episode: Where everything is.
-            plant: How it differs from the model from now on; None leaves it as it is.
-            factors: How the loose object differs; None leaves it as it is.
-        """
+        """Starts an episode of a copy, at rest; a plant or factors of the object that are None stay as they are."""
         if plant is not None or factors is not None:
             self._change_model(row, plant or NOMINAL, factors or ObjectFactors())
         model = self._models[row]

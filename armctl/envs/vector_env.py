@@ -12,9 +12,8 @@ from gymnasium.vector.utils import batch_space
 
 from armctl.core.errors import InputError
 from armctl.core.validation import flag, integer, shown
-from armctl.envs.batch import Batch
-from armctl.envs.source import Robot
-from armctl.envs.spaces import action_space, observation_space
+from armctl.envs.batch import Batch, action_space, observation_space
+from armctl.envs.tasks.interface import Robot
 from armctl.study.factors import Range
 
 

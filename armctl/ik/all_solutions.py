@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +25,7 @@ from armctl.ik.problem import (
     read_target,
     read_tolerance,
 )
-from armctl.ik.result import IkBatch, IkResult
+from armctl.ik.result import BATCH_ARRAYS, IkBatch, IkResult
 from armctl.ik.solve import solve_ik
 from armctl.robot.arm import Arm
 
@@ -54,7 +55,7 @@ def solve_ik_all(
 
     In all other cases the search is numerical: it descends from many starts and keeps the distinct solutions. It ends when 300
     random starts in a row found nothing new. `is_complete` is True if an arm of six hinges has as many isolated solutions as
-    such a chain can have at most (16, or 8 with special axes). If the arm has more joints than the target has constraints, the
+    such a chain can have at most (16). If the arm has more joints than the target has constraints, the
     surplus joints are swept. Otherwise a solution may be missing, although the tests have not found such a case.
 
     Configurations that differ by whole turns are one solution; of these the nearest to q0 inside the limits is returned.
@@ -166,13 +167,6 @@ def _inexact_solutions(problem: Problem, limit: int) -> Solutions:
 
 
 def _one_row(result: IkResult) -> IkBatch:
-    return IkBatch(
-        ok=frozen(np.array([result.ok])),
-        q=frozen(result.q[None].copy()),
-        position_error=frozen(np.array([result.position_error])),
-        orientation_error=frozen(np.array([result.orientation_error])),
-        reason=frozen(np.array([result.reason], object)),
-        iterations=frozen(np.array([result.iterations])),
-        starts=frozen(np.array([result.starts])),
-        branch=(result.branch,),
-    )
+    arrays: dict[str, Any] = {name: frozen(np.array([getattr(result, name)])) for name in BATCH_ARRAYS}
+    arrays["reason"] = frozen(np.array([result.reason], object))
+    return IkBatch(**arrays, branch=(result.branch,))

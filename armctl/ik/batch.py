@@ -6,10 +6,10 @@ import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from armctl._core import Constraint
 from armctl.core.errors import InputError
@@ -18,7 +18,7 @@ from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, IntArray, array, as_array, frozen, integer, matrix
 from armctl.ik import lm
 from armctl.ik.problem import Problem, constraint_of, read_problem
-from armctl.ik.result import IkBatch, failure_reason
+from armctl.ik.result import BATCH_ARRAYS, IkBatch, failure_reason
 from armctl.robot.arm import Arm
 
 MAX_CHUNK = 1024  # targets
@@ -50,9 +50,6 @@ def solve_ik_batch(
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which every target may be turned freely.
 
-    Returns:
-        The fields of IkResult as arrays.
-
     Raises:
         InputError: An argument has a wrong shape, type or value.
         LimitError: q0 is outside the joint limits.
@@ -72,20 +69,8 @@ def solve_ik_batch(
         finally:
             pool.shutdown(cancel_futures=True)
     in_order = [parts[i] for i in range(len(chunks))]
-    return IkBatch(
-        ok=_joined([part.ok for part in in_order]),
-        q=_joined([part.q for part in in_order]),
-        position_error=_joined([part.position_error for part in in_order]),
-        orientation_error=_joined([part.orientation_error for part in in_order]),
-        reason=_joined([part.reason for part in in_order]),
-        iterations=_joined([part.iterations for part in in_order]),
-        starts=_joined([part.starts for part in in_order]),
-        branch=tuple(itertools.chain.from_iterable(part.branch for part in in_order)),
-    )
-
-
-def _joined(parts: list[NDArray]) -> NDArray:
-    return frozen(np.concatenate(parts))
+    arrays: dict[str, Any] = {name: frozen(np.concatenate([getattr(part, name) for part in in_order])) for name in BATCH_ARRAYS}
+    return IkBatch(**arrays, branch=tuple(itertools.chain.from_iterable(part.branch for part in in_order)))
 
 
 def _chunks(count: int, workers: int) -> list[IntArray]:
@@ -148,7 +133,6 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
 
 
 def _read_transforms(T: Array) -> Array:
-    """(N, 12) of homogeneous transforms, checked."""
     if T.shape[1:] != (4, 4):
         raise InputError(f"targets: expected shape (N, 4, 4) or (N, 3), got {T.shape}")
     R = T[:, :3, :3]

@@ -25,25 +25,15 @@ DEVIATION_FACTOR = 10.0  # slack in cosines for each unit by which the axes devi
 
 
 class Solutions(NamedTuple):
-    """Distinct solutions inside the limits, the nearest to q0 first.
+    """Distinct solutions inside the limits, the nearest to q0 first."""
 
-    Attributes:
-        q: (N, n) rad.
-        position_errors: (N,) m.
-        orientation_errors: (N,) rad.
-        branches: (N,) the core's numbers of the branches.
-        starts: How many configurations were begun with.
-        steps: Solver steps.
-        is_complete: Whether there is proved to be no other.
-    """
-
-    q: Array
-    position_errors: Array
-    orientation_errors: Array
-    branches: IntArray
-    starts: int
-    steps: int
-    is_complete: bool
+    q: Array  # (N, n) rad
+    position_errors: Array  # (N,) m
+    orientation_errors: Array  # (N,) rad
+    branches: IntArray  # (N,) the core's numbers of the branches
+    starts: int  # how many configurations were begun with
+    steps: int  # solver steps
+    is_complete: bool  # whether there is proved to be no other
 
     def select(self, rows: IntArray) -> Solutions:
         """Those with the numbers (K,)."""
@@ -53,6 +43,21 @@ class Solutions(NamedTuple):
             orientation_errors=self.orientation_errors[rows],
             branches=self.branches[rows],
         )
+
+
+_Rows = tuple[Array, Array, Array, IntArray]  # the first four fields of `Solutions`
+
+
+def _room(count: int, n: int) -> _Rows:
+    return np.empty((count, n)), np.empty(count), np.empty(count), np.empty(count, np.int64)
+
+
+def _solutions(rows: _Rows, count: int, starts: int, steps: int, is_complete: bool) -> Solutions:
+    """Those of the rows that the core has filled."""
+    q, position_errors, orientation_errors, branches = rows
+    return Solutions(
+        q[:count], position_errors[:count], orientation_errors[:count], branches[:count], starts, steps, is_complete
+    )
 
 
 def closed_form_solutions(
@@ -77,10 +82,7 @@ def closed_form_solutions(
         min_samples = MIN_SAMPLES
         positions = _swept(chain, closed_form.held, q0, max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit))
         room = limit + MAX_SEEDS_PER_SAMPLE * MIN_SAMPLES
-    q = np.empty((room, len(chain.unit)))
-    position_errors = np.empty(room)
-    orientation_errors = np.empty(room)
-    branches = np.empty(room, np.int64)
+    rows = _room(room, len(chain.unit))
     assert chain.closed_form_core is not None
     found = chain.closed_form_core.solve_all(
         target,
@@ -92,21 +94,10 @@ def closed_form_solutions(
         positions,
         min_samples,
         limit,
-        q,
-        position_errors,
-        orientation_errors,
-        branches,
+        *rows,
     )
-    count = found.count
-    return Solutions(
-        q=q[:count],
-        position_errors=position_errors[:count],
-        orientation_errors=orientation_errors[:count],
-        branches=branches[:count],
-        starts=found.samples,
-        steps=found.steps,
-        is_complete=not found.lost and not found.doubtful and closed_form.is_exact and closed_form.held is None,
-    )
+    is_complete = not found.lost and not found.doubtful and closed_form.is_exact and closed_form.held is None
+    return _solutions(rows, found.count, found.samples, found.steps, is_complete)
 
 
 def first_solutions(chain: IkChain, closed_form: ClosedForm, targets: Array, q0: Array, q: Array) -> BoolArray:
@@ -148,28 +139,13 @@ def _van_der_corput(count: int) -> Array:
 
 def polished(problem: Problem, seeds: Array, starts: int, is_complete: bool) -> Solutions:
     """The solutions that seeds (M, n) lead to, the nearest to q0 first; `is_complete` holds if none of the seeds is lost."""
-    q = np.empty(seeds.shape)
-    position_errors = np.empty(len(seeds))
-    orientation_errors = np.empty(len(seeds))
-    branches = np.empty(len(seeds), np.int64)
+    rows = _room(*seeds.shape)
     found = problem.chain.core.polish(
         problem.targets[0],
         problem.position_tolerance,
         problem.orientation_tolerance,
         problem.q0[0],
         seeds,
-        q,
-        position_errors,
-        orientation_errors,
-        branches,
+        *rows,
     )
-    count = found.count
-    return Solutions(
-        q=q[:count],
-        position_errors=position_errors[:count],
-        orientation_errors=orientation_errors[:count],
-        branches=branches[:count],
-        starts=starts,
-        steps=found.steps,
-        is_complete=is_complete and found.lost == 0,
-    )
+    return _solutions(rows, found.count, starts, found.steps, is_complete and found.lost == 0)

@@ -12,18 +12,22 @@ from armctl.core.errors import InputError
 from armctl.core.target import TargetLike
 from armctl.core.validation import Array, choice, flag, frozen, number, shown, vector
 from armctl.ik.problem import read_target
-from armctl.ik.quadratic_program import QP_SOLVERS, QuadraticProgram
 from armctl.robot.arm import Arm, check_arm
 
 if TYPE_CHECKING:
     import mink
     from mink.tasks import BaseTask
 
+import warnings
+from typing import Any, NamedTuple
+
 DAMPING = 1e-9  # of all joints of the model; those outside the arm have no other term
 MAX_CUTS = 4  # of a step whose end is too near something
 MAX_HALVINGS = 4  # of that step, if cutting it does not help
 VELOCITY_ROUNDING = 1e-12  # relative: dq / dt must not round to more than v_max
 POSITION_ROUNDING = 4 * np.finfo(float).eps  # relative: q + dt * v must not round to a position outside the limits
+# A first-order solver stops at 1e-3 by default, which is visible in a joint velocity.
+QP_SOLVERS: dict[str, dict[str, Any]] = {"daqp": {}, "osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7}}
 
 
 class DifferentialIk:
@@ -100,9 +104,6 @@ class DifferentialIk:
 
         Returns:
             (n,) rad/s (m/s for a slide joint).
-
-        Raises:
-            InputError: An argument has a wrong shape, type or value.
         """
         constraint, numbers = read_target(target, free_axis)
         start = vector("q", q, self.arm.n)
@@ -189,3 +190,42 @@ def _checked_list(what: str, value: object, kind: type) -> list:
     if not isinstance(value, Sequence) or not all(isinstance(item, kind) for item in value):
         raise InputError(f"{what}: expected a list of mink {kind.__name__} objects, got {shown(value)}")
     return list(value)
+
+
+class QuadraticProgram(NamedTuple):
+    """Minimize x.Px / 2 + q.x subject to G x <= h, A x = b and low <= x <= high."""
+
+    P: Array
+    q: Array
+    G: Array | None
+    h: Array | None
+    A: Array | None
+    b: Array | None
+    low: Array
+    high: Array
+
+    def with_inequalities(self, G: Array, h: Array) -> QuadraticProgram:
+        """The same program with more rows of G and h."""
+        if self.G is None or self.h is None:
+            return self._replace(G=G, h=h)
+        return self._replace(G=np.vstack([self.G, G]), h=np.hstack([self.h, h]))
+
+    def allows_zero(self) -> bool:
+        """Whether x = 0 fulfils the inequalities and bounds; False if there are equalities."""
+        inequalities_hold = self.h is None or bool((self.h >= 0).all())
+        return self.A is None and inequalities_hold and bool((self.low <= 0).all() and (self.high >= 0).all())
+
+    def solve(self, solver: str) -> Array | None:
+        """The solution, or None if there is none."""
+        import qpsolvers
+
+        problem = qpsolvers.Problem(self.P, self.q, self.G, self.h, self.A, self.b, self.low, self.high)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # what the solver warns of is visible in its solution
+                solution = qpsolvers.solve_problem(problem, solver=solver, **QP_SOLVERS[solver])
+        except (qpsolvers.QPError, ValueError, ArithmeticError, RuntimeError):
+            return None
+        if not solution.found or solution.x is None or not np.isfinite(solution.x).all():
+            return None
+        return solution.x

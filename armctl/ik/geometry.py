@@ -27,47 +27,29 @@ class Relation(NamedTuple):
 
 
 class ClosedForm(NamedTuple):
-    """A closed form of the inverse kinematics of a chain.
+    """A closed form of the inverse kinematics of a chain."""
 
-    Attributes:
-        points: (n, 3) a point on each axis in the zero configuration, in reaches: where special axes meet it is the common one.
-        held: The joint that is swept, or None.
-        special: (3,) the joints whose axes meet or are parallel.
-        others: (3,) the other joints, in the order of the loop.
-        kind: Of the special axes: MEET or PARALLEL.
-        pair_kind: Of two neighbours among the others.
-        pair_first: Which of the others begin the pair, 0 or 1.
-        deviation: How far the axes are from meeting or being parallel, in reaches or sines.
-        is_exact: Whether the closed form is that of the chain itself, up to rounding.
-        branch_names: (28,) the name of each combination of the three signs, and None for an unknown branch.
-    """
-
+    # (n, 3) a point on each axis in the zero configuration, in reaches: where special axes meet it is the common one
     points: Array
-    held: int | None
-    special: tuple[int, ...]
-    others: tuple[int, ...]
-    kind: AxesRelation
-    pair_kind: AxesRelation
-    pair_first: int
-    deviation: float
-    is_exact: bool
+    held: int | None  # the joint that is swept, or None
+    special: tuple[int, ...]  # (3,) the joints whose axes meet or are parallel
+    others: tuple[int, ...]  # (3,) the other joints, in the order of the loop
+    kind: AxesRelation  # of the special axes: MEET or PARALLEL
+    pair_kind: AxesRelation  # of two neighbours among the others
+    pair_first: int  # which of the others begin the pair, 0 or 1
+    deviation: float  # how far the axes are from meeting or being parallel, in reaches or sines
+    is_exact: bool  # whether the closed form is that of the chain itself, up to rounding
+    # (28,) the name of each combination of the three signs, and None for an unknown branch
     branch_names: tuple[str | None, ...]
 
 
 class Hinges(NamedTuple):
-    """A chain of hinges in one configuration, lengths in reaches.
+    """A chain of hinges in one configuration, lengths in reaches."""
 
-    Attributes:
-        axes: (n, 3) the joints' axes.
-        points: (n, 3) a point on each.
-        tip_rotation: (3, 3).
-        tip_translation: (3,).
-    """
-
-    axes: Array
-    points: Array
-    tip_rotation: Array
-    tip_translation: Array
+    axes: Array  # (n, 3) the joints' axes
+    points: Array  # (n, 3) a point on each
+    tip_rotation: Array  # (3, 3)
+    tip_translation: Array  # (3,)
 
 
 def axes_of(axes: Array, points: Array) -> Relation:

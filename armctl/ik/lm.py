@@ -23,49 +23,29 @@ MIN_REACH_GAIN = 1e-6  # relative: a smaller decrease of the squared error is ro
 
 
 class SearchResult(NamedTuple):
-    """What a search found for N targets.
+    """What a search found for N targets."""
 
-    Attributes:
-        q: (N, n) rad, inside the joint limits: the solutions, or the best configurations met.
-        solved: (N,) whether q is a solution.
-        next_start: (N,) the start after the last one used.
-        iterations: (N,) steps over all starts.
-        jumped: (N,) whether q is far from q0 although the tip began near the target.
-    """
-
-    q: Array
-    solved: BoolArray
-    next_start: IntArray
-    iterations: IntArray
-    jumped: BoolArray
+    q: Array  # (N, n) rad, inside the joint limits: the solutions, or the best configurations met
+    solved: BoolArray  # (N,) whether q is a solution
+    next_start: IntArray  # (N,) the start after the last one used
+    iterations: IntArray  # (N,) steps over all starts
+    jumped: BoolArray  # (N,) whether q is far from q0 although the tip began near the target
 
 
 class Refined(NamedTuple):
-    """Local minima of the squared error.
+    """Local minima of the squared error."""
 
-    Attributes:
-        q: (N, n) rad, inside the joint limits.
-        squared_error: (N,) squared reaches.
-    """
-
-    q: Array
-    squared_error: Array
+    q: Array  # (N, n) rad, inside the joint limits
+    squared_error: Array  # (N,) squared reaches
 
 
 class BestEffort(NamedTuple):
-    """The best approximations for targets without a solution.
+    """The best approximations for targets without a solution."""
 
-    Attributes:
-        q: (N, n) rad, inside the joint limits.
-        position_error: (N,) m, measured at q.
-        orientation_error: (N,) rad, measured at q.
-        out_of_reach: (N,) whether the point itself is out of reach.
-    """
-
-    q: Array
-    position_error: Array
-    orientation_error: Array
-    out_of_reach: BoolArray
+    q: Array  # (N, n) rad, inside the joint limits
+    position_error: Array  # (N,) m, measured at q
+    orientation_error: Array  # (N,) rad, measured at q
+    out_of_reach: BoolArray  # (N,) whether the point itself is out of reach
 
 
 def search(problem: Problem, first: int, last: int, begin: Array | None = None) -> SearchResult:

@@ -13,15 +13,11 @@ from armctl._core import Constraint
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.ik import lm
 from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions, polished
-from armctl.ik.problem import IkChain, Problem, hinges_at
+from armctl.ik.problem import IkChain, Problem
 
-# Bounds on the number of isolated configurations of six hinges in series: 16 in general (Primrose, "On the input-output
-# equation of the general 7R mechanism", Mech. Mach. Theory 21, 1986), 8 if three consecutive axes are parallel or meet in a
-# point (Mavroidis and Roth, "Structural parameters which reduce the number of manipulator configurations", ASME J. Mech. Design
-# 116, 1994).
+# Bound on the number of isolated configurations of six hinges in series (Primrose, "On the input-output equation of the general
+# 7R mechanism", Mech. Mach. Theory 21, 1986). Chains with fewer, because of special axes, have a closed form.
 MAX_SOLUTIONS_6R = 16
-MAX_SOLUTIONS_SPECIAL_6R = 8
-SPECIAL_AXES_TOLERANCE = 1e-9  # reaches, or sine of an angle
 MIN_REGULAR_SINGULAR_VALUE = 1e-6  # of the Jacobian in reaches per radian: above it a solution is isolated
 
 SAME_SOLUTION = 1e-3  # rad, or reaches: at a double root, a descent leaves 1e-5
@@ -244,26 +240,7 @@ def _max_solutions(chain: IkChain, constraint: Constraint) -> int:
     n = len(chain.arrays["slides"])
     if n != 6 or len(chain.unit) != 6 or chain.has_slides or constraint != Constraint.POSE:
         return 0
-    hinges = hinges_at(chain.arrays["rotations"], chain.arrays["translations"], np.full(n, 0.3))
-    axes = hinges.axes
-    origins = hinges.points
-    for k in range(n - 2):
-        are_parallel = all(_sine(axes[k], axes[j]) < SPECIAL_AXES_TOLERANCE for j in (k + 1, k + 2))
-        if are_parallel or _meet(origins[k : k + 3], axes[k : k + 3]):
-            return MAX_SOLUTIONS_SPECIAL_6R
     return MAX_SOLUTIONS_6R
-
-
-def _sine(a: Array, b: Array) -> float:
-    return float(np.linalg.norm(np.cross(a, b)))
-
-
-def _meet(origins: Array, axes: Array) -> bool:
-    """Whether three lines have a point in common: the least-squares point nearest to all of them lies on each."""
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    point = np.linalg.lstsq(across.reshape(9, 3), np.einsum("kij,kj->ki", across, origins).reshape(9), rcond=None)[0]
-    distance = np.linalg.norm(np.einsum("kij,kj->ki", across, point - origins), axis=1)
-    return bool((distance < SPECIAL_AXES_TOLERANCE).all())
 
 
 def _all_regular(problem: Problem, q: Array) -> bool:

@@ -28,42 +28,24 @@ _NO_BRANCHES = (None,) * (_core.NO_BRANCH + 1)
 
 @dataclass(frozen=True, eq=False)
 class IkChain:
-    """The chain of an arm with n unknowns, as the solver sees it: lengths are in units of the reach.
+    """The chain of an arm with n unknowns, as the solver sees it: lengths are in units of the reach."""
 
-    Attributes:
-        arrays: What the compiled core takes.
-        core: The chain in the compiled core.
-        reach: m, the length of the arm stretched out, which is the unit of length.
-        base: (3,) m, the origin of the first joint.
-        low: (n,) the bounds of the unknowns.
-        high: (n,)
-        period: (n,) 2 pi for hinges, of which whole turns lead back to the same pose, and 0 for others.
-        unit: (n,) one unit of each joint of the arm: 1 rad, or the reach for a slide joint.
-        has_slides: Whether there is a slide joint.
-        limits: The arm's limits.
-        home: (n,) the arm's home, in the solver's units.
-        closed_form: The closed form of its inverse kinematics, or None.
-        closed_form_core: The closed form in the compiled core.
-        branch_names: (28,) what the branches are called that the core numbers.
-    """
-
-    arrays: dict[str, Any]
-    core: _core.Chain
-    reach: float
-    base: Array
-    low: Array
-    high: Array
-    period: Array
-    unit: Array
-    has_slides: bool
-    limits: Limits
-    home: Array
-    closed_form: ClosedForm | None
-    closed_form_core: _core.ClosedForm | None
-    branch_names: tuple[str | None, ...]
+    arrays: dict[str, Any]  # what the compiled core takes
+    core: _core.Chain  # the chain in the compiled core
+    reach: float  # m, the length of the arm stretched out, which is the unit of length
+    base: Array  # (3,) m, the origin of the first joint
+    low: Array  # (n,) the bounds of the unknowns
+    high: Array  # (n,)
+    period: Array  # (n,) 2 pi for hinges, of which whole turns lead back to the same pose, and 0 for others
+    unit: Array  # (n,) one unit of each joint of the arm: 1 rad, or the reach for a slide joint
+    has_slides: bool  # whether there is a slide joint
+    limits: Limits  # the arm's limits
+    home: Array  # (n,) the arm's home, in the solver's units
+    closed_form: ClosedForm | None  # the closed form of its inverse kinematics, or None
+    closed_form_core: _core.ClosedForm | None  # the closed form in the compiled core
+    branch_names: tuple[str | None, ...]  # (28,) what the branches are called that the core numbers
 
     def branches(self, q: Array) -> list[str | None]:
-        """The branches of configurations (N, n) in rad."""
         return [self.branch_names[number] for number in self.branch_numbers(q).tolist()]
 
     def branch_numbers(self, q: Array) -> IntArray:
@@ -91,23 +73,15 @@ class IkChain:
 
 
 class Problem(NamedTuple):
-    """N targets for one arm, all with the same constraint.
-
-    Attributes:
-        constraint: Which parts of the tip's pose are constrained.
-        targets: (N, 12) rotation row by row, position.
-        q0: (N, n) rad, where to start.
-        position_tolerance: m.
-        orientation_tolerance: rad.
-    """
+    """N targets for one arm, all with the same constraint."""
 
     arm: Arm
     chain: IkChain
-    constraint: Constraint
-    targets: Array
-    q0: Array
-    position_tolerance: float
-    orientation_tolerance: float
+    constraint: Constraint  # which parts of the tip's pose are constrained
+    targets: Array  # (N, 12) rotation row by row, position
+    q0: Array  # (N, n) rad, where to start
+    position_tolerance: float  # m
+    orientation_tolerance: float  # rad
     seed: int
 
     def select(self, rows: IntArray) -> Problem:
@@ -179,7 +153,6 @@ def read_problem(
 
 
 def read_tolerance(what: str, value: float) -> float:
-    """A checked tolerance, m or rad."""
     return number(what, value, MIN_TOLERANCE)
 
 

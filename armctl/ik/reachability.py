@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl import _core
 from armctl._core import Constraint
 from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError
 from armctl.core.file_reading import read_npz, reading
 from armctl.core.plotting import finish_figure
+from armctl.core.pose import matrix_from_quat
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, array, choice, frozen, integer, matrix, number, vector
 from armctl.ik.closed_form_solutions import first_solutions
@@ -259,12 +261,12 @@ def reachability(
     workers = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
     rows = np.zeros((max(count, 1), 12))
     if count:
-        rows[:, :9] = _rotations(quaternions).reshape(-1, 9)
+        rows[:, :9] = matrix_from_quat(quaternions.T).reshape(9, -1).T
     fraction = np.zeros(len(points))
     manipulability = np.zeros(len(points))
     with progress_bar("reachability", len(points), "points") as progress, ThreadPoolExecutor(workers) as pool:
         chunks = [slice(k, min(k + POINTS_PER_CHUNK, len(points))) for k in range(0, len(points), POINTS_PER_CHUNK)]
-        jobs = {pool.submit(_reached, chain, points[chunk], rows, count > 0): chunk for chunk in chunks}
+        jobs = {pool.submit(_reached, arm, points[chunk], rows, count > 0): chunk for chunk in chunks}
         try:
             for job in as_completed(jobs):
                 chunk = jobs[job]
@@ -293,17 +295,6 @@ def even_orientations(count: int) -> Array:
     alpha = 2 * np.pi * s / FULL_ROTATIONS[0]
     beta = 2 * np.pi * s / FULL_ROTATIONS[1]
     return np.stack([outer * np.cos(beta), inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta)], axis=1)
-
-
-def _rotations(q: Array) -> Array:
-    """(M, 3, 3) of unit quaternions (M, 4) wxyz."""
-    w, x, y, z = q.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 def _tip_planes(arm: Arm) -> Array:
@@ -342,8 +333,9 @@ def _grid(chain: IkChain, spacing: float, region: Sequence[ArrayLike] | None, pl
     return points + centre
 
 
-def _reached(chain: IkChain, points: Array, rows: Array, is_oriented: bool) -> tuple[Array, Array]:
+def _reached(arm: Arm, points: Array, rows: Array, is_oriented: bool) -> tuple[Array, Array]:
     """The fraction of the orientations (M, 12) and the largest manipulability at each of the points (K, 3)."""
+    chain = ik_chain(arm)
     targets = np.tile(rows, (len(points), 1))
     targets[:, 9:] = np.repeat(points, len(rows), axis=0)
     q = np.tile(chain.home, (len(targets), 1))
@@ -374,8 +366,23 @@ def _reached(chain: IkChain, points: Array, rows: Array, is_oriented: bool) -> t
     solved[search] = is_solution == 1
     q[search] = found
     index = np.zeros(len(targets))
-    measured = np.empty(int(solved.sum()))
-    chain.core.manipulabilities(is_oriented, q[solved], measured)
-    index[solved] = measured
+    index[solved] = _manipulabilities(arm, chain.from_units(q[solved]), 6 if is_oriented else 3)
     shape = (len(points), len(rows))
     return solved.reshape(shape).mean(axis=1), index.reshape(shape).max(axis=1)
+
+
+def _manipulabilities(arm: Arm, q: Array, rows: int) -> Array:
+    """Yoshikawa's manipulability at each of q (N, n), of the first rows of the Jacobian.
+
+    With fewer joints than rows it is sqrt(det(J^T J)) (Yoshikawa, "Manipulability of robotic mechanisms", Int. J. Robotics
+    Research 4(2), 1985).
+    """
+    dynamics = _core.Dynamics(arm.core_model)
+    J = np.empty((len(q), 6, arm.n))
+    for configuration, jacobian in zip(q, J, strict=True):
+        dynamics.place(configuration)
+        dynamics.locate()
+        dynamics.tip_jacobian(jacobian)
+    J = J[:, :rows]
+    J_T = np.swapaxes(J, 1, 2)
+    return np.sqrt(np.maximum(np.linalg.det(J @ J_T if arm.n >= rows else J_T @ J), 0.0))

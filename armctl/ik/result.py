@@ -50,6 +50,9 @@ class IkResult:
         return f"not solved: {self.reason}"
 
 
+BATCH_ARRAYS = ("ok", "q", "position_error", "orientation_error", "reason", "iterations", "starts")
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class IkBatch:
     """The results of N IK problems: the fields of IkResult as arrays. Its length is N, and `batch[i]` is an IkResult.

@@ -24,6 +24,9 @@ SINGULAR_DAMPING = 1e-3  # ... up to this
 MIN_GAIN_REACHES = 1e-8  # a step that gains less at a target out of reach is not made
 FLAT_CURVATURE = 1e-3  # the posture acts only in directions less curved than this ...
 FAR_ERROR_REACHES = 0.01  # ... and at targets nearer than this
+NULL_DAMPING = 1e-10
+MIN_NULL_SHARE = 0.01  # a shorter part of the desired step frees no joint from its bound
+MIN_STEP = 1e-300  # of a joint, as a divisor
 APPROACH_SHARE = 0.5  # of the free distance that may be used up in one step
 RECOVERY_SPEED = 0.1  # m/s, with which bodies that are too near are moved apart
 DISTANCE_ROUNDING = 1e-9  # m
@@ -84,13 +87,6 @@ class TipTask(BaseTask):
         unit = chain.unit
         return _ErrorModel(size, self._hessian / np.outer(unit, unit), self._gradient / unit, jacobian / unit)
 
-    def _null_step(self, desired: Array) -> Array:
-        """The part of a desired step (n,) that leaves the error as it is, within the bounds."""
-        unit = self._chain.unit
-        step = np.empty_like(desired)
-        self._squared_error.null_step(self.constraint, desired / unit, self.low / unit, self.high / unit, step)
-        return step * unit
-
     def compute_qp_objective(self, configuration: mink.Configuration) -> mink.Objective:
         """The Hessian H (nv, nv) and gradient c (nv,) of the task's part of the program."""
         q = configuration.data.qpos[self._arm.qpos_adr]
@@ -109,7 +105,10 @@ class TipTask(BaseTask):
         share = self.posture_share * max(0.0, 1 - size / FAR_ERROR_REACHES)
         if share > 0 and redundant:
             flatness = np.maximum(0.0, 1 - curvature / FLAT_CURVATURE) ** 2
-            descent = descent + damping * (V * flatness) @ (self._null_step(share * (self._posture - q)) @ V)
+            unit = self._chain.unit
+            desired = share * (self._posture - q) / unit
+            step = unit * null_step(self._jacobian[: len(jacobian)], desired, self.low / unit, self.high / unit)
+            descent = descent + damping * (V * flatness) @ (step @ V)
         self._gain = descent / size if size > FAR_ERROR_REACHES else None
         H = np.zeros((configuration.nv, configuration.nv))
         c = np.zeros(configuration.nv)
@@ -128,6 +127,25 @@ class _ErrorModel(NamedTuple):
     jacobian: Array
 
 
+def null_step(J: Array, desired: Array, low: Array, high: Array) -> Array:
+    """The part of a desired step (n,) in the null space of J (k, n), shortened to its bounds; joints at theirs take no part.
+
+    With the tiny damping only that part of the step is left that changes no error.
+    """
+    step = np.zeros_like(desired)
+    free = np.arange(len(desired))
+    while len(free) > len(J):
+        gram = J[:, free].T @ J[:, free]
+        part = np.linalg.solve(gram + NULL_DAMPING * np.eye(len(free)), NULL_DAMPING * desired[free])
+        room = np.maximum(np.where(part > 0, high[free], -low[free]), 0.0)
+        shares = room / np.maximum(np.abs(part), MIN_STEP)
+        if shares.min() > MIN_NULL_SHARE:
+            step[free] = min(1.0, shares.min()) * part
+            break
+        free = free[shares > MIN_NULL_SHARE]
+    return step
+
+
 class ClearanceLimit(mink.Limit):
     """Keeps pairs of geoms apart: in one step their distance may shrink by at most half of what is free.
 
@@ -136,10 +154,7 @@ class ClearanceLimit(mink.Limit):
     """
 
     def __init__(self, arm: Arm, clearance: float):
-        """The limit of an arm that keeps `clearance`, m, where it can.
-
-        Raises ModelError for a scene with a height field or signed distance field that the arm could touch.
-        """
+        """The limit of an arm that keeps `clearance`, m, where it can; ModelError as for `require_provable`."""
         self._arm = arm
         self._checker = collision_checker(arm)
         self._checker.require_provable()

@@ -15,8 +15,7 @@ from armctl.control.task_space import SINGULARITY_DAMPING
 from armctl.core.errors import InputError
 from armctl.core.trajectory import TickReference, Trajectory, check_trajectory
 from armctl.core.validation import flag, instance, integer, number
-from armctl.jax.arguments import checked
-from armctl.jax.arm_model import ArmModel
+from armctl.jax.arm_model import ArmModel, checked
 from armctl.jax.dynamics import (
     cholesky_solve,
     dry_friction,
@@ -170,8 +169,6 @@ def pd(gains: PDGains, q: jax.Array, v: jax.Array, reference: Reference) -> jax.
     """The law of `armctl.PD`.
 
     Args:
-        q: (n,) rad, measured.
-        v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.
 
     Returns:
@@ -186,8 +183,6 @@ def computed_torque(model: ArmModel, gains: ComputedTorqueGains, q: jax.Array, v
 
     Args:
         model: The arm as the controller knows it.
-        q: (n,) rad, measured.
-        v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.
 
     Returns:
@@ -206,8 +201,6 @@ def operational_space(
 
     Args:
         model: The arm as the controller knows it.
-        q: (n,) rad, measured.
-        v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.
 
     Returns:

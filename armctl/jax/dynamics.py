@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from armctl.jax.arguments import checked
-from armctl.jax.arm_model import ArmModel
+from armctl.jax.arm_model import ArmModel, checked
 
 # Without it, GPUs and TPUs multiply float32 matrices with fewer bits.
 _einsum = partial(jnp.einsum, precision="highest")
@@ -25,31 +24,19 @@ _matmul = partial(jnp.matmul, precision="highest")
 
 
 class Placed(NamedTuple):
-    """The joints and links of an arm at a configuration, in world axes; points are relative to the first joint's origin.
+    """The joints and links of an arm at a configuration, in world axes; points are relative to the first joint's origin."""
 
-    Attributes:
-        rotation: (m, 3, 3), of the joints' frames.
-        angular: (m, 3), angular velocity per velocity of each joint: its axis, or zero for a slide.
-        linear: (m, 3), velocity, per velocity of each joint, of a body that it moves, at the first joint's origin.
-        center: (m, 3) m, the centers of mass.
-        inertia: (m, 3, 3) kg m^2, about the centers of mass.
-        position: (m,) rad, of all joints.
-    """
-
-    rotation: jax.Array
-    angular: jax.Array
-    linear: jax.Array
-    center: jax.Array
-    inertia: jax.Array
-    position: jax.Array
+    rotation: jax.Array  # (m, 3, 3), of the joints' frames
+    angular: jax.Array  # (m, 3), angular velocity per velocity of each joint: its axis, or zero for a slide
+    linear: jax.Array  # (m, 3), velocity, per velocity of each joint, of a body that it moves, at the first joint's origin
+    center: jax.Array  # (m, 3) m, the centers of mass
+    inertia: jax.Array  # (m, 3, 3) kg m^2, about the centers of mass
+    position: jax.Array  # (m,) rad, of all joints
 
 
 @checked
 def mass_matrix(model: ArmModel, q: jax.Array) -> jax.Array:
     """The mass matrix with armature.
-
-    Args:
-        q: (n,) rad.
 
     Returns:
         (n, n) kg m^2.
@@ -63,9 +50,6 @@ def inverse_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, a: jax.Array) 
 
     Args:
         model: The arm, whose `period` is dt.
-        q: (n,) rad.
-        v: (n,) rad/s.
-        a: (n,) rad/s^2.
 
     Returns:
         (n,) N m.
@@ -87,11 +71,6 @@ def forward_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, tau: jax.Array
     In discrete time this is the change of the velocity over the coming step / dt, where no force but linear damping is implicit
     in the velocity and the arm does not move continuously.
 
-    Args:
-        q: (n,) rad.
-        v: (n,) rad/s.
-        tau: (n,) N m.
-
     Returns:
         (n,) rad/s^2.
     """
@@ -103,9 +82,6 @@ def forward_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, tau: jax.Array
 @checked
 def gravity(model: ArmModel, q: jax.Array) -> jax.Array:
     """The torque that holds the arm at rest, with gravity compensation and springs.
-
-    Args:
-        q: (n,) rad.
 
     Returns:
         (n,) N m.
@@ -133,9 +109,6 @@ def dry_friction(model: ArmModel, q: jax.Array, v_ref: jax.Array, a_ref: jax.Arr
 def tip_pose(model: ArmModel, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The tip in the world.
 
-    Args:
-        q: (n,) rad.
-
     Returns:
         Its position (3,) m, and its rotation matrix (3, 3).
     """
@@ -146,9 +119,6 @@ def tip_pose(model: ArmModel, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 @checked
 def tip_jacobian(model: ArmModel, q: jax.Array) -> jax.Array:
     """The Jacobian of the tip.
-
-    Args:
-        q: (n,) rad.
 
     Returns:
         (6, n), linear part first, world axes, at the tip.
@@ -178,7 +148,6 @@ def place(model: ArmModel, q: jax.Array) -> Placed:
 
 
 def cholesky_solve(M: jax.Array, b: jax.Array) -> jax.Array:
-    """The solution of M x = b for a positive definite M."""
     return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(M, lower=True), b)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import mujoco
@@ -12,6 +12,7 @@ import numpy as np
 from armctl.loading.catalog import Source
 from armctl.mjmodel.dc_motor import DcMotor, dc_motor, is_dc_motor
 from armctl.mjmodel.queries import Joints, joint_name
+from armctl.mjmodel.sensor_timing import sensor_timing
 from armctl.mjmodel.transmissions import Transmission, Transmissions
 
 # What becomes of each attribute of actuators, joints and sensors in MJCF. A test compares the tables with MuJoCo's own schema.
@@ -25,7 +26,8 @@ JOINT_ATTRIBUTES = {
 }
 SENSOR_ATTRIBUTES = {
     "kept": "name class user cutoff noise joint actuator",
-    "named by a warning, since controllers read the joints": "delay interval nsample interp",
+    "simulated, and named by a warning": "delay interval",
+    "of MuJoCo's own buffer; measurements are held here until the next one": "nsample interp",
 }
 ATTRIBUTES = {
     "kept": "name class group user joint jointinparent tendon gear armature damping nsample interp delay",
@@ -43,12 +45,7 @@ ATTRIBUTES = {
 _WRONG_SOLVER = "4.0.0"  # the version whose Newton solver has a wrong Hessian for sparse Jacobians
 _MIN_SPARSE_DOFS = 60  # from which `jacobian="auto"` means sparse
 _MAX_INCLUDED_FILES = 100
-_JOINT_SENSORS = (
-    mujoco.mjtSensor.mjSENS_JOINTPOS,
-    mujoco.mjtSensor.mjSENS_JOINTVEL,
-    mujoco.mjtSensor.mjSENS_ACTUATORPOS,
-    mujoco.mjtSensor.mjSENS_ACTUATORVEL,
-)
+_MAX_LISTED = 16
 
 
 def dc_motors(source: Source, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> tuple[DcMotor | None, ...]:
@@ -65,11 +62,7 @@ def dc_motors(source: Source, model: mujoco.MjModel, transmissions: Sequence[Tra
 def actuator_notes(
     analysis: Transmissions, joints: Joints, transmissions: Sequence[Transmission], motors: Sequence[DcMotor | None]
 ) -> tuple[list[str], list[str]]:
-    """What differs from the file or from what controllers model, one sentence each: those that need a warning, and others.
-
-    Args:
-        joints: The joints of the chain, spring joints included.
-    """
+    """What differs from the file or from what controllers model, one sentence each: those that need a warning, and others."""
     model = analysis.model
     names = [joint_name(model, each.joint) for each in transmissions]
     warned: list[str] = []
@@ -100,21 +93,20 @@ def actuator_notes(
     ]
     if yielding:
         warned.append(f"springs yield in simulation (springyield), but controllers take them as elastic ({_listed(yielding)})")
-    warned += _sensor_notes(model, moved, {each.actuator for each in transmissions})
+    late = _late_sensors(analysis, transmissions, names)
+    if late:
+        warned.append(
+            f"the sensors of joints are late ({_listed(late)}); simulations and margins include it, but environments do not"
+        )
     servos = [name for name, each in zip(names, transmissions, strict=True) if _is_servo(model, each.actuator)]
     quiet = [f"torque motors replace the servos of {_listed(servos)}: their gains are not used"] if servos else []
     return warned, quiet
 
 
 def mend_solver(model: mujoco.MjModel, option: mujoco.MjOption) -> list[str]:
-    """Makes the Jacobians dense, in place, if this version of MuJoCo solves constraints wrongly with sparse ones.
+    """Makes the Jacobians dense in `option` if this version of MuJoCo solves constraints wrongly with sparse ones.
 
-    Args:
-        model: The model, from which "auto" follows.
-        option: The options to change, of the model or of its specification.
-
-    Returns:
-        One sentence if it was so, or none.
+    One sentence if it was so, or none. From the model follows what "auto" means.
     """
     is_sparse = model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE or (
         model.opt.jacobian == mujoco.mjtJacobian.mjJAC_AUTO and model.nv >= _MIN_SPARSE_DOFS
@@ -126,20 +118,17 @@ def mend_solver(model: mujoco.MjModel, option: mujoco.MjOption) -> list[str]:
     return ["MuJoCo 4.0.0 computes wrong accelerations with sparse Jacobians, so they are dense; 4.0.1 takes less time"]
 
 
-def _sensor_notes(model: mujoco.MjModel, joints: Iterable[int], actuators: Iterable[int]) -> Iterator[str]:
-    """Sensors of the arm's joints that are late: controllers read the joints themselves."""
-    moved = {"jnt": set(joints), "act": set(actuators)}
-    late = []
-    for sensor in range(model.nsensor):
-        if model.sensor_type[sensor] not in map(int, _JOINT_SENSORS):
-            continue
-        kind = "jnt" if model.sensor_objtype[sensor] == mujoco.mjtObj.mjOBJ_JOINT else "act"
-        if int(model.sensor_objid[sensor]) not in moved[kind]:
-            continue
-        if model.sensor_delay[sensor] > 0.0 or model.sensor_interval[sensor, 0] > 0.0:
-            late.append(model.sensor(sensor).name or f"sensor{sensor}")
-    if late:
-        yield f"the sensors {_listed(late)} are late, but controllers read the joints; Plant(sensor_delay=...) delays that"
+def _late_sensors(analysis: Transmissions, transmissions: Sequence[Transmission], names: Sequence[str]) -> list[str]:
+    """The joints whose sensors have a delay or an interval, with both."""
+    joints = {each.joint: i for i, each in enumerate(transmissions)}
+    joints |= {joint: joints[motor] for joint, motor in analysis.springs.items() if motor in joints}
+    timing = sensor_timing(analysis.model, joints, {each.actuator: i for i, each in enumerate(transmissions)}, len(names))
+    found = []
+    for name, delay, interval in zip(names, timing.delay, timing.interval, strict=True):
+        phrases = [f"{1e3 * delay:.3g} ms" if delay else "", f"every {1e3 * interval:.3g} ms" if interval else ""]
+        if any(phrases):
+            found.append(" ".join([name, *filter(None, phrases)]))
+    return found
 
 
 def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
@@ -169,4 +158,5 @@ def _nominal_data(path: Path) -> Iterator[tuple[float, float, float]]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return f"{'; '.join(names):.200}"
+    more = [f"and {len(names) - _MAX_LISTED} more"] if len(names) > _MAX_LISTED else []
+    return "; ".join([f"{name:.100}" for name in names[:_MAX_LISTED]] + more)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
-from armctl.core.limits import Limits
 from armctl.core.validation import Array, frozen
 from armctl.loading.describe import ArmPlan
 from armctl.loading.home import clear_keyframe_controls, home_controls, home_qpos
@@ -17,79 +16,45 @@ from armctl.mjmodel.target_marker import set_target_start
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm, Recipe
 from armctl.robot.joint_map import JointMap
-from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
+from armctl.robot.pinocchio_model import build_pinocchio_model
 
 _TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached
-
-
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """What an arm consists of, before the model's keyframes and target are set."""
-
-    plan: ArmPlan
-    actuation: Actuation
-    pinocchio_model: PinocchioModel
-    home: Array
-    home_qpos: Array
-    sources: dict[str, str]
 
 
 def make_arms(
     name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes: Sequence[str], recipe: Recipe | None
 ) -> tuple[Arm, ...]:
-    """The arms of a prepared model, which is completed in place: the target's start, no controls in the keyframes.
-
-    Args:
-        name: What the arms were loaded as.
-        model: The compiled model, with torque motors; all arms share it.
-        notes: What had to be assumed of the whole model.
-        recipe: How the model was made; None if it was given.
-    """
+    """The arms of a prepared model, which is completed in place: the target's start, no controls in the keyframes."""
     qpos = home_qpos(model, tuple(joint for plan in plans for joint in plan.joints))
-    parts = [_parts(model, plan, qpos) for plan in plans]
-    first = parts[0]
-    near_home = first.actuation.limits.clamp(first.home + _TARGET_OFFSET)
-    set_target_start(model, first.pinocchio_model.tip(near_home)[0])
-    clear_keyframe_controls(model, np.concatenate([part.actuation.ctrl_adr for part in parts]))
+    arms = [_arm(name, model, plan, qpos, notes, recipe) for plan in plans]
+    near_home = arms[0].limits.clamp(arms[0].home + _TARGET_OFFSET)
+    set_target_start(model, arms[0].fk(near_home).position)
+    clear_keyframe_controls(model, np.concatenate([arm.ctrl_adr for arm in arms]))
     ctrl = home_controls(model)
-    return tuple(
-        Arm(
-            name=name,
-            model=model,
-            actuation=part.actuation,
-            tip=part.plan.tip.name,
-            home=part.home,
-            pinocchio_model=part.pinocchio_model,
-            home_qpos=part.home_qpos,
-            home_ctrl=ctrl,
-            tip_body=part.plan.tip.body,
-            T_body_tip=part.plan.tip.T_body_tip,
-            notes=(*notes, *part.plan.notes, *part.plan.quiet_notes),
-            sources=part.sources,
-            recipe=recipe,
-        )
-        for part in parts
-    )
+    return tuple(replace(arm, home_ctrl=ctrl) for arm in arms)
 
 
-def _parts(model: mujoco.MjModel, plan: ArmPlan, qpos: Array) -> _Parts:
+def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Sequence[str], recipe: Recipe | None) -> Arm:
+    """An arm in a model at home, with the controls of keyframes that are not cleared yet."""
     joint_map = JointMap.from_transmissions(model, plan.joints, plan.transmissions)
     limits, sources = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet, plan.dc_motors)
     actuation = Actuation.from_model(model, joint_map, plan.transmissions, limits)
-    home = _home(limits, qpos[actuation.qpos_adr])
+    home = frozen(limits.clamp(qpos[actuation.qpos_adr]))  # joints that others follow may have narrower limits than their range
     whole = qpos.copy()
     joint_map.set_positions(whole, home)
     tip = plan.tip
-    return _Parts(
-        plan=plan,
+    return Arm(
+        name=name,
+        model=model,
         actuation=actuation,
-        pinocchio_model=build_pinocchio_model(model, len(plan.joints), joint_map, whole, tip.body, tip.T_body_tip),
+        tip=tip.name,
         home=home,
+        pinocchio_model=build_pinocchio_model(model, len(plan.joints), joint_map, whole, tip.body, tip.T_body_tip),
         home_qpos=frozen(whole),
+        home_ctrl=home_controls(model),
+        tip_body=tip.body,
+        T_body_tip=tip.T_body_tip,
+        notes=(*notes, *plan.notes, *plan.quiet_notes),
         sources={"tau_max": plan.tau_source} | sources,
+        recipe=recipe,
     )
-
-
-def _home(limits: Limits, q: Array) -> Array:
-    """The home configuration: joints that others follow may have narrower limits than their own range."""
-    return frozen(limits.clamp(q))

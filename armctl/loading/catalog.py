@@ -18,12 +18,16 @@ from armctl.core.errors import ArmctlError, InputError, ModelError, UnknownNameE
 from armctl.core.file_reading import shown_path
 from armctl.core.validation import shown
 from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
-from armctl.loading.robot_descriptions import description_file, is_description_name
 from armctl.loading.urdf import read_urdf
 from armctl.loading.urdf_file import UrdfFile, is_urdf, read_urdf_file
 
 if TYPE_CHECKING:
     import mujoco_menagerie as menagerie
+
+import importlib
+import importlib.util
+import pkgutil
+import re
 
 BUNDLED = "robot_arm_3dof"
 _CONNECT_TIMEOUT_S = 3.0  # for the server of MuJoCo Menagerie
@@ -35,39 +39,27 @@ _CONVERTERS = {
 _REFERRING = ("actuators", "sensors", "equalities", "tendons", "pairs", "excludes", "keys", "skins")
 _FEW_PIXELS = 8  # width of a texture that nothing is drawn with
 _MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError)
+_PACKAGE = "robot_descriptions"
+_NAME = re.compile(r"\w+_description")
+_PATHS = ("MJCF_PATH", "URDF_PATH", "XACRO_PATH")  # an MJCF says most
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where a robot's description is.
+    """Where a robot's description is."""
 
-    Attributes:
-        name: What the arm will be called.
-        path: Its MJCF or URDF file; None for a specification.
-        row: Its data-sheet row, or None.
-        spec: A specification that a caller gave; None for a file.
-    """
-
-    name: str
-    path: Path | None
-    row: Row | None = None
-    spec: mujoco.MjSpec | None = None
+    name: str  # what the arm will be called
+    path: Path | None  # its MJCF or URDF file; None for a specification
+    row: Row | None = None  # its data-sheet row, or None
+    spec: mujoco.MjSpec | None = None  # a specification that a caller gave; None for a file
 
     @cached_property
     def urdf(self) -> UrdfFile | None:
-        """The file as XML if it is a URDF or a xacro, else None.
-
-        Raises:
-            ModelError: It is one and cannot be read.
-        """
+        """The file as XML if it is a URDF or a xacro, else None; ModelError if it is one and cannot be read."""
         return read_urdf_file(self.path) if self.path is not None and is_urdf(self.path) else None
 
     def read(self) -> tuple[mujoco.MjSpec, list[str]]:
-        """The description as a new specification that can be changed, and what was left out of it, one sentence each.
-
-        Raises:
-            ModelError: MuJoCo cannot read it.
-        """
+        """The description as a new specification, and what was left out of it, one sentence each; ModelError if it is none."""
         if self.path is None:
             return self._copied_spec(), []
         try:
@@ -80,11 +72,7 @@ class Source:
             raise ModelError(f"{self._label}: MuJoCo cannot read it: {_one_line(error)}") from None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """The model of a specification that was read from here.
-
-        Raises:
-            ModelError: MuJoCo cannot compile it, or its names are not in UTF-8.
-        """
+        """The model of a specification that was read from here; ModelError if MuJoCo cannot compile it."""
         try:
             model = spec.compile()
             model.names.decode()
@@ -95,11 +83,7 @@ class Source:
         return model
 
     def compile_without_textures(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """As `compile`, but generated textures have few pixels: they take most of the time if the meshes are in the cache.
-
-        Raises:
-            ModelError: As for `compile`.
-        """
+        """As `compile`, but generated textures have few pixels: with meshes in the cache they take most of the time."""
         generated = [texture for texture in spec.textures if texture.builtin != mujoco.mjtBuiltin.mjBUILTIN_NONE]
         sizes = [(texture.width, texture.height) for texture in generated]
         for texture in generated:
@@ -127,16 +111,9 @@ class Source:
 
 
 def locate(robot: str | os.PathLike[str] | mujoco.MjSpec, *, tool: bool = False) -> Source:
-    """Where the description of a robot is; downloads a Menagerie robot on first use.
+    """Where the description of a robot is; downloads a Menagerie robot on first use. Errors as those of `armctl.load`.
 
-    Args:
-        robot: As for `armctl.load`.
-        tool: Whether it is a tool to be mounted on an arm: it then comes without the scene that Menagerie shows it in.
-
-    Raises:
-        InputError: It is neither a name nor a path nor a specification.
-        UnknownNameError: No robot, or no tool, has that name.
-        ModelError: There is no such file, or the robot could not be downloaded.
+    A tool to be mounted on an arm comes without the scene that Menagerie shows it in.
     """
     if isinstance(robot, mujoco.MjSpec):
         spec: mujoco.MjSpec = robot
@@ -149,7 +126,7 @@ def locate(robot: str | os.PathLike[str] | mujoco.MjSpec, *, tool: bool = False)
         raise InputError(f"{'tool' if tool else 'robot'}: {shown(robot)} is a path in bytes; give it as text")
     if given.lower().endswith(_ENDINGS) or isinstance(robot, os.PathLike):
         path = Path(given)
-        if not _is_file(path):
+        if not os.path.isfile(path):
             raise ModelError(f"{shown_path(path)}: no such file")
         _refuse_other_formats(path)
         return Source(path.stem.removesuffix(".urdf"), path)
@@ -206,35 +183,17 @@ def _unknown(given: str, tool: bool) -> ArmctlError:
     import mujoco_menagerie as menagerie
 
     path = Path(given)
-    if _is_file(path):
+    if os.path.isfile(path):
         return ModelError(f"{shown_path(path)}: its name does not end in .xml or .urdf, no model")
-    if _is_folder(path):
+    if os.path.isdir(path):
         return ModelError(f"{shown_path(path)}: a folder, no model")
     if tool:
         return UnknownNameError.of("tool", given, [r.name for r in menagerie.robots("end_effector")])
     return UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()], "`armctl robots`")
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that no file can have, such as one with a null character
-        return False
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
 def robots() -> dict[str, str]:
-    """All robots that `load` finds by name, and what armctl can do with them. Downloads nothing.
-
-    Returns:
-        Name, the alias where there is one, to a line of text: the bundled arm, then all of MuJoCo Menagerie.
-    """
+    """All robots that `load` finds by name, and what armctl can do with them, in a line of text. Downloads nothing."""
     import mujoco_menagerie as menagerie
 
     short = {name: alias for alias, name in ALIASES.items()}
@@ -276,3 +235,34 @@ def _check_network(robot: menagerie.Robot) -> None:
 def _one_line(error: Exception) -> str:
     """The first 200 characters of a message, in one line."""
     return f"{' '.join(str(error).split()):.200}"
+
+
+def is_description_name(name: str) -> bool:
+    """Whether a name has the form that names of robot_descriptions have, such as "panda_mj_description"."""
+    return _NAME.fullmatch(name) is not None
+
+
+def description_file(name: str) -> Path:
+    """The file of a robot by its name in robot_descriptions; downloaded on first use."""
+    package = importlib.util.find_spec(_PACKAGE)
+    if package is None:
+        raise ModelError(
+            f"{name:.80}: a name of the package robot_descriptions, which is not installed: `pip install {_PACKAGE}`"
+        )
+    known = [
+        module.name for module in pkgutil.iter_modules(package.submodule_search_locations) if is_description_name(module.name)
+    ]
+    if name not in known:
+        raise UnknownNameError.of("robot of robot_descriptions", name, known)
+    try:
+        module = importlib.import_module(f"{_PACKAGE}.{name}")
+    except Exception as error:  # importing it clones a repository, which can fail in any way
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ModelError(f"{name}: robot_descriptions cannot provide it: {reason:.200}") from None
+    found = [getattr(module, path) for path in _PATHS if hasattr(module, path)]
+    if not found:
+        raise ModelError(f"{name}: robot_descriptions has neither an MJCF nor a URDF of it")
+    path = Path(found[0])
+    if not path.is_file():
+        raise ModelError(f"{name}: robot_descriptions says that its file is {path}, which does not exist")
+    return path

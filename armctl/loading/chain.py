@@ -69,13 +69,10 @@ class _Run:
 
 
 def all_chains(analysis: Transmissions) -> list[SerialChain]:
-    """Every serial chain of a model, whose free bases are taken as held.
+    """Every serial chain of a model, whose free bases are taken as held: the longest first, last those that cannot be driven.
 
-    A chain ends where the model branches no further, before the fingers of a gripper, and before a joint that cannot be driven:
-    the joints after that are a chain of their own, on the body before them.
-
-    Returns:
-        The chains that can be driven, longest first, then the joints that cannot, with the reason.
+    A chain ends where the model branches no further, before the fingers of a gripper, and before a joint that cannot be
+    driven: the joints after that are a chain of their own, on the body before them.
     """
     model = analysis.model
     runs, refused = _drivable_runs(analysis)
@@ -92,19 +89,10 @@ def all_chains(analysis: Transmissions) -> list[SerialChain]:
 
 
 def find_chain(analysis: Transmissions, base: int = 0) -> Joints:
-    """The arm of a model without a description: its longest run of actuated joints from the base.
+    """The arm of a model without a description: its longest run of actuated joints from the base, the world if left out.
 
-    The run ends before the fingers of a gripper: at a body that carries several jointed branches with fewer joints behind it
-    than before it, or at joints named like a jaw.
-
-    Args:
-        base: The body it stands on; the world if left out.
-
-    Returns:
-        The joints from the base to the tip.
-
-    Raises:
-        ModelError: There is none, or several are equally long.
+    The run ends before the fingers of a gripper: at a body that carries several jointed branches with fewer joints behind
+    it than before it, or at joints named like a jaw. ModelError if there is none, or several are equally long.
     """
     model = analysis.model
     counts = branch_counts(model)
@@ -134,18 +122,7 @@ def _selectable_tip(model: mujoco.MjModel, run: Joints) -> str:
 
 
 def chain_to(analysis: Transmissions, body: int, base: int = 0) -> Joints:
-    """All joints between a base and a body.
-
-    Args:
-        body: The body at the end.
-        base: The body it stands on; the world if left out.
-
-    Returns:
-        The joints from the base to the body.
-
-    Raises:
-        ModelError: One of them is no hinge or slide joint, or no single actuator moves it.
-    """
+    """All joints from a base, the world if left out, to a body; ModelError if one cannot be driven."""
     model = analysis.model
     name = shown(body_name(model, body))
     if not is_below(model, body, base):

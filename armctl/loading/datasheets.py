@@ -6,38 +6,29 @@ Only what is particular to one robot stands here. A robot without a row works to
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians
+from math import degrees, radians
+
+from armctl.core.tables import Table
 
 _DEG = radians(1.0)
+_COLUMNS = ("robot", "payload, kg", "reach, m", "joint speeds, deg/s", "source")
+_ARM_CATEGORIES = ("arm", "dual_arm")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One robot.
+    """One robot."""
 
-    Attributes:
-        source: Where the numbers are published.
-        v_max: rad/s, one for each joint; None where the source gives none.
-        a_max: rad/s^2, likewise.
-        j_max: rad/s^3, likewise.
-        tau_max: N m, likewise.
-        payload: kg, the rated payload.
-        reach: m, the rated reach, as the maker measures it.
-        rating_source: Where these two are published; empty for `source`.
-        tip: The site or body that carries the tip; None for the one that armctl finds.
-        tip_offset: (3,) m, the tip in that site's or body's frame.
-    """
-
-    source: str
-    v_max: tuple[float, ...] | None = None
-    a_max: tuple[float, ...] | None = None
-    j_max: tuple[float, ...] | None = None
-    tau_max: tuple[float, ...] | None = None
-    payload: float | None = None
-    reach: float | None = None
-    rating_source: str = ""
-    tip: str | None = None
-    tip_offset: tuple[float, float, float] | None = None
+    source: str  # where the numbers are published
+    v_max: tuple[float, ...] | None = None  # rad/s, one for each joint; None where the source gives none
+    a_max: tuple[float, ...] | None = None  # rad/s^2, likewise
+    j_max: tuple[float, ...] | None = None  # rad/s^3, likewise
+    tau_max: tuple[float, ...] | None = None  # N m, likewise
+    payload: float | None = None  # kg, the rated payload
+    reach: float | None = None  # m, the rated reach, as the maker measures it
+    rating_source: str = ""  # where these two are published; empty for `source`
+    tip: str | None = None  # the site or body that carries the tip; None for the one that armctl finds
+    tip_offset: tuple[float, float, float] | None = None  # (3,) m, the tip in that site's or body's frame
 
     @property
     def sources(self) -> str:
@@ -189,3 +180,20 @@ ALIASES: dict[str, str] = {
     "wxai": "trossen_wxai",
     "omy": "robotis_omy_3m",
 }
+
+
+def rated_arms() -> dict[str, Row]:
+    """Every arm of Menagerie with its data sheet; without one, its row is empty and its speeds are the default of 2 rad/s."""
+    import mujoco_menagerie as menagerie
+
+    arms = [robot.name for robot in menagerie.robots() if robot.category in _ARM_CATEGORIES]
+    return {name: ROWS.get(name, Row(source="")) for name in sorted({*arms, *ROWS})}
+
+
+def ratings_table() -> Table:
+    cells = []
+    for name, row in rated_arms().items():
+        speeds = " ".join(f"{degrees(v):.0f}" for v in row.v_max or ())
+        figures = ["" if figure is None else f"{figure:g}" for figure in (row.payload, row.reach)]
+        cells.append([name, *figures, speeds, row.sources or "no data sheet"])
+    return Table(_COLUMNS, cells)

@@ -22,44 +22,26 @@ from armctl.mjmodel.transmissions import Transmission, Transmissions
 
 @dataclass(frozen=True, eq=False)
 class ArmEnds:
-    """Where an arm begins and ends, as the caller names it.
+    """Where an arm begins and ends, as the caller names it."""
 
-    Attributes:
-        tip: The name of the site, body or geom at the end; None for the one that armctl finds.
-        base: The name of the body that the arm stands on; None for the world.
-        tip_offset: The tip in that element's frame; None for the frame itself.
-    """
-
-    tip: str | None = None
-    base: str | None = None
-    tip_offset: Pose | None = None
+    tip: str | None = None  # the name of the site, body or geom at the end; None for the one that armctl finds
+    base: str | None = None  # the name of the body that the arm stands on; None for the world
+    tip_offset: Pose | None = None  # the tip in that element's frame; None for the frame itself
 
 
 @dataclass(frozen=True, eq=False)
 class ArmPlan:
-    """What one arm of a model will be.
+    """What one arm of a model will be."""
 
-    Attributes:
-        joints: The joints from the base to the tip, without the springs of elastic joints.
-        transmissions: What moves each of its n joints.
-        dc_motors: The DC motor of each of them, or None.
-        tip: Its tip, in the body's number of the model that is described.
-        datasheet: Limits from a data sheet or a URDF, or None.
-        tau_max: (n,) N m.
-        tau_source: Where the torque limits come from.
-        notes: What had to be assumed, one sentence each.
-        quiet_notes: What needs no warning, one sentence each.
-    """
-
-    joints: Joints
-    transmissions: tuple[Transmission, ...]
-    dc_motors: tuple[DcMotor | None, ...]
-    tip: Tip
-    datasheet: JointData | None
-    tau_max: Array
-    tau_source: str
-    notes: tuple[str, ...]
-    quiet_notes: tuple[str, ...]
+    joints: Joints  # the joints from the base to the tip, without the springs of elastic joints
+    transmissions: tuple[Transmission, ...]  # what moves each of its n joints
+    dc_motors: tuple[DcMotor | None, ...]  # the DC motor of each of them, or None
+    tip: Tip  # its tip, in the body's number of the model that is described
+    datasheet: JointData | None  # limits from a data sheet or a URDF, or None
+    tau_max: Array  # (n,) N m
+    tau_source: str  # where the torque limits come from
+    notes: tuple[str, ...]  # what had to be assumed, one sentence each
+    quiet_notes: tuple[str, ...]  # what needs no warning, one sentence each
 
     def with_tip_body(self, body: int) -> ArmPlan:
         """The same plan for a model in which the tip's body has another number."""
@@ -67,18 +49,7 @@ class ArmPlan:
 
 
 def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnds]) -> list[ArmPlan]:
-    """The arms to some tips from some bases.
-
-    Args:
-        source: Where the model comes from; its data sheet gives limits that the model lacks.
-        analysis: The analysis of the compiled model, with its own actuators.
-        ends: Where each arm begins and ends.
-
-    Raises:
-        InputError: A name is no string.
-        UnknownNameError: The model has nothing of that name.
-        ModelError: A chain is no arm, or two chains cannot move at once.
-    """
+    """The arms to some tips from some bases of a model with its own actuators; errors as those of `armctl.load`."""
     chains = [find_ends(source, analysis, each) for each in ends]
     check_independent(analysis, [joints for joints, _ in chains])
     return [
@@ -88,13 +59,7 @@ def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnd
 
 
 def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[Joints, Tip]:
-    """The joints and the tip of one arm, without its tip offset.
-
-    Raises:
-        InputError: A name is no string.
-        UnknownNameError: The model has nothing of that name.
-        ModelError: The chain is no arm.
-    """
+    """The joints and the tip of one arm, without its tip offset."""
     model = analysis.model
     base = 0 if ends.base is None else named_body(model, ends.base)
     if ends.tip is not None:
@@ -112,11 +77,7 @@ def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[J
 
 
 def check_independent(analysis: Transmissions, chains: Sequence[Joints]) -> None:
-    """Refuses chains that cannot move at once without disturbing each other.
-
-    Raises:
-        ModelError: One is part of another, two move the same joint, or one stands on another.
-    """
+    """Refuses chains that cannot move at once: one is part of another, two move the same joint, or one stands on another."""
     for one, other in permutations(chains, 2):
         reason = _why_dependent(analysis, one, other)
         if reason:

@@ -7,7 +7,7 @@ import math
 import mujoco
 
 from armctl.core.validation import Array, IntArray, frozen
-from armctl.mjmodel.queries import Joints, joint_range
+from armctl.mjmodel.queries import Joints, is_below, is_free, joint_actuators, joint_range
 
 
 def keyframe_qpos(model: mujoco.MjModel) -> Array:
@@ -48,3 +48,21 @@ def clear_keyframe_controls(model: mujoco.MjModel, ctrl_adr: IntArray) -> None:
 
 def _home_key(model: mujoco.MjModel) -> int:
     return max(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"), 0)
+
+
+def remove_free_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Removes the free joint of every body that carries actuated joints, in place; its keyframe says where it stays."""
+    qpos = keyframe_qpos(model)
+    actuated = [int(model.jnt_bodyid[joint]) for joint in joint_actuators(model)]
+    joints = {j.id: j for j in spec.joints}
+    bodies = {b.id: b for b in spec.bodies}
+    for joint in range(model.njnt):
+        body = int(model.jnt_bodyid[joint])
+        if not is_free(model, joint) or not any(is_below(model, other, body) for other in actuated):
+            continue
+        start = int(model.jnt_qposadr[joint])
+        bodies[body].set_frame(spec.worldbody.add_frame())  # the keyframe's pose is in the world, whatever frame the file uses
+        bodies[body].pos = qpos[start : start + 3]
+        bodies[body].quat = qpos[start + 3 : start + 7]
+        bodies[body].alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        spec.delete(joints[joint])

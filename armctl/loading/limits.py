@@ -26,36 +26,22 @@ _TORQUE_SAMPLES = 50  # configurations in which gravity is evaluated
 
 @dataclass(frozen=True)
 class JointData:
-    """Limits of joints that the compiled model does not contain: from a data sheet or a URDF.
+    """Limits of joints that the compiled model does not contain: from a data sheet or a URDF."""
 
-    Attributes:
-        source: Where they are published.
-        v_max: (n,) rad/s, or None.
-        a_max: (n,) rad/s^2, or None.
-        j_max: (n,) rad/s^3, or None.
-        tau_max: (n,) N m, or None.
-    """
-
-    source: str
-    v_max: Array | None = None
-    a_max: Array | None = None
-    j_max: Array | None = None
-    tau_max: Array | None = None
+    source: str  # where they are published
+    v_max: Array | None = None  # (n,) rad/s, or None
+    a_max: Array | None = None  # (n,) rad/s^2, or None
+    j_max: Array | None = None  # (n,) rad/s^3, or None
+    tau_max: Array | None = None  # (n,) N m, or None
 
 
 @dataclass(frozen=True)
 class TorqueLimits:
-    """The torque limits of an arm.
+    """The torque limits of an arm."""
 
-    Attributes:
-        tau_max: (n,) N m.
-        source: Where they come from.
-        notes: The assumptions made, one sentence each.
-    """
-
-    tau_max: Array
-    source: str
-    notes: tuple[str, ...]
+    tau_max: Array  # (n,) N m
+    source: str  # where they come from
+    notes: tuple[str, ...]  # the assumptions made, one sentence each
 
 
 def datasheet_limits(row: Row | None, n: int) -> JointData | None:
@@ -75,20 +61,11 @@ def torque_limits(
     datasheet: JointData | None,
     motors: Sequence[DcMotor | None],
 ) -> TorqueLimits:
-    """The torque limits of an arm's joints.
+    """The torque limits of an arm's joints in a model as compiled from its file, with its own actuators.
 
-    The smallest of the model's own limits: the actuator's forcerange x gear, the joint's actfrcrange, the stall torque of a DC
-    motor and, for an actuator that is already a motor, ctrlrange x gear. Without any, the data sheet's limit; without that, an
-    assumption, with a note.
-
-    Args:
-        model: The model as compiled from its file, with its own actuators.
-        transmissions: What moves the joints.
-        datasheet: The arm's data-sheet limits, or None.
-        motors: The DC motors of the joints.
-
-    Raises:
-        ModelError: A range does not allow torques of both signs.
+    The smallest of the model's own limits: the actuator's forcerange x gear, the joint's actfrcrange, the stall torque of a
+    DC motor and, for an actuator that is already a motor, ctrlrange x gear. Without any, the data sheet's limit; without
+    that, an assumption, with a note. ModelError if a range does not allow torques of both signs.
     """
     tau = np.full(len(transmissions), np.inf)
     sources: set[str] = set()
@@ -125,19 +102,12 @@ def joint_limits(
     datasheet: JointData | None,
     motors: Sequence[DcMotor | None],
 ) -> tuple[Limits, dict[str, str]]:
-    """The limits of an arm: positions from the model, the rest from the data sheet or a default.
+    """The limits of an arm, positions from the model, the rest from the data sheet or a default; and where each comes from.
 
-    A joint that others follow goes only as far as all of them can. The default speed is 2 rad/s (0.5 m/s). The default
-    acceleration is half of what the torque beyond gravity gives the joint at home if all joints accelerate together (a row sum
-    of the mass matrix), at most ten times the speed per second. The default jerk reaches the acceleration in 0.05 s.
-
-    Args:
-        home_qpos: (nq,) the model at home.
-        tau_max: (n,) N m.
-        motors: The DC motors of the joints: a speed that nothing limits is that without a load.
-
-    Returns:
-        The limits, and where each of them comes from.
+    A joint that others follow goes only as far as all of them can. The default speed is 2 rad/s (0.5 m/s), of a DC motor
+    that without a load. The default acceleration is half of what the torque beyond gravity gives the joint at home if all
+    joints accelerate together (a row sum of the mass matrix), at most ten times the speed per second. The default jerk
+    reaches the acceleration in 0.05 s.
     """
     q_min, q_max = position_limits(model, transmissions)
     given = JointData("default") if datasheet is None else datasheet

@@ -23,7 +23,7 @@ from armctl.loading.build import make_arms
 from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
 from armctl.loading.describe import ArmEnds, describe_arms, find_ends
-from armctl.loading.fixed_base import remove_free_joints
+from armctl.loading.home import remove_free_joints
 from armctl.loading.model_checks import (
     check_joint_parameters,
     check_mass_matrix,
@@ -34,31 +34,27 @@ from armctl.loading.model_checks import (
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.loading.scene import Scene
 from armctl.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
-from armctl.loading.tool import mount
+from armctl.loading.tip import tip_on
 from armctl.loading.undriven import add_missing_motors
 from armctl.loading.urdf_file import UrdfFile
+from armctl.mjmodel.edit import copy_options
 from armctl.mjmodel.queries import model_name
 from armctl.mjmodel.transmissions import Transmissions
 from armctl.robot.arm import Arm
 from armctl.robot.parity import check_parity
 
+_FLANGE = "armctl_flange"
+
 
 @dataclass(frozen=True, eq=False)
 class _Robot:
-    """A robot as it was read, before a tool or a scene is added.
-
-    Attributes:
-        notes: What was assumed, one sentence each; they are reported as warnings.
-        quiet_notes: What needs no warning, one sentence each.
-        srdf: The SRDF that belongs to it, or None.
-        loose_links: Its links, if no file says which of them may touch.
-    """
+    """A robot as it was read, before a tool or a scene is added."""
 
     spec: mujoco.MjSpec
-    notes: tuple[str, ...]
-    quiet_notes: tuple[str, ...]
-    srdf: Srdf | None
-    loose_links: frozenset[str]
+    notes: tuple[str, ...]  # what was assumed, one sentence each; they are reported as warnings
+    quiet_notes: tuple[str, ...]  # what needs no warning, one sentence each
+    srdf: Srdf | None  # the SRDF that belongs to it, or None
+    loose_links: frozenset[str]  # its links, if no file says which of them may touch
 
     def resolved(self, ends: ArmEnds) -> ArmEnds:
         """The ends of an arm whose tip can be the name of a group of the SRDF."""
@@ -72,36 +68,22 @@ class _Robot:
 
 @dataclass(frozen=True, eq=False)
 class _Recipe:
-    """The arguments of `load` or `load_arms`, from which its model is made.
+    """The arguments of `load` or `load_arms`, from which its model is made."""
 
-    Attributes:
-        robot: As for `load`.
-        ends: Where each arm begins and ends.
-        hold_base: As for `load`.
-        tool: As for `load`.
-        scene: As for `load`.
-        srdf: As for `load`.
-        is_complete: False in another process for the arm of a specification, which does not go along.
-    """
-
-    robot: str | os.PathLike[str] | mujoco.MjSpec
-    ends: tuple[ArmEnds, ...]
-    hold_base: bool
-    tool: str | os.PathLike[str] | mujoco.MjSpec | None
-    scene: Scene | str | os.PathLike[str] | None
-    srdf: str | os.PathLike[str] | None
-    is_complete: bool = True
+    robot: str | os.PathLike[str] | mujoco.MjSpec  # as for `load`
+    ends: tuple[ArmEnds, ...]  # where each arm begins and ends
+    hold_base: bool  # as for `load`
+    tool: str | os.PathLike[str] | mujoco.MjSpec | None  # as for `load`
+    scene: Scene | str | os.PathLike[str] | None  # as for `load`
+    srdf: str | os.PathLike[str] | None  # as for `load`
+    is_complete: bool = True  # false in another process for the arm of a specification, which does not go along
 
     def __getstate__(self) -> dict[str, Any]:
         is_text = not isinstance(self.robot, mujoco.MjSpec) and not isinstance(self.tool, mujoco.MjSpec)
         return self.__dict__ if is_text else self.__dict__ | {"robot": "", "tool": None, "is_complete": False}
 
     def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
-        """The model of the arms, made once more after an edit of the specification.
-
-        Raises:
-            ModelError: The robot was an MjSpec, and this is another process; or MuJoCo cannot compile the result.
-        """
+        """The model of the arms, made once more after an edit of the specification."""
         return self.prepared(edit)[1].model
 
     def prepared(self, edit: Callable[[mujoco.MjSpec], None] | None = None) -> tuple[str, PreparedModel, list[str]]:
@@ -256,7 +238,6 @@ def _kept(robot: str | os.PathLike[str] | mujoco.MjSpec) -> str | os.PathLike[st
 
 
 def _load_recipe(recipe: _Recipe) -> tuple[Arm, ...]:
-    """The arms that a recipe makes."""
     name, prepared, notes = recipe.prepared()
     return _arms(name, prepared, notes, recipe)
 
@@ -316,7 +297,6 @@ def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:
 
 
 def _add_scene(spec: mujoco.MjSpec, scene: Scene | str | os.PathLike[str] | None) -> None:
-    """Puts a scene around a robot."""
     if scene is not None:
         (scene if isinstance(scene, Scene) else Scene(scene)).build(spec)
 
@@ -337,3 +317,24 @@ def _naming(name: str) -> Iterator[None]:
         yield
     except ModelError as error:
         raise ModelError(f"{name:.80}: {error}") from None
+
+
+def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool: Source) -> str:
+    """Mounts a tool at a frame of the body `flange`, in place, and returns the name of its tip in the robot's model.
+
+    Its masses, joints and actuators become part of the robot's model; all of its names get the tool's own before them.
+    """
+    child, _ = tool.read()
+    model = tool.compile(child)
+    for joint in list(child.joints):
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            child.delete(joint)
+    # The better friction of the two: a gripper that holds by it says how it needs it.
+    spec.option.cone = max(spec.option.cone, child.option.cone)
+    spec.option.impratio = max(spec.option.impratio, child.option.impratio)
+    copy_options(spec, child)
+    prefix = f"{tool.name.replace('/', '_')}/"
+    site = flange.add_site(name=_FLANGE, pos=T_body_flange.position, quat=T_body_flange.quat)
+    spec.attach(child, site=site, prefix=prefix)
+    root = next((body for body in range(1, model.nbody) if model.body_parentid[body] == 0), 0)
+    return prefix + tip_on(model, root).name

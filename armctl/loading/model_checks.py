@@ -16,24 +16,14 @@ _MAX_CONDITION = 1e15  # of the mass matrix; beyond it, no digit of an accelerat
 
 
 def check_timestep(model: mujoco.MjModel) -> None:
-    """Refuses a time step with which nothing can be simulated.
-
-    Raises:
-        ModelError: It is not a positive number.
-    """
+    """Refuses a time step that is not a positive number."""
     timestep = float(model.opt.timestep)
     if not (math.isfinite(timestep) and timestep > 0.0):
         raise ModelError(f'the model\'s time step is {timestep:g} s; it must be above 0, as in <option timestep="0.002"/>')
 
 
 def check_joint_parameters(model: mujoco.MjModel) -> None:
-    """Refuses an armature or a dry friction below zero.
-
-    The mass matrix could be indefinite, and MuJoCo ignores such a friction.
-
-    Raises:
-        ModelError: A joint, or a motor on it, has one.
-    """
+    """Refuses a negative armature (the mass matrix could be indefinite) or dry friction (MuJoCo ignores it)."""
     for what, values, unit in (("armature", model.dof_armature, "kg m^2"), ("frictionloss", model.dof_frictionloss, "N m")):
         negative = np.flatnonzero(~(values >= 0.0))
         if len(negative):
@@ -44,11 +34,7 @@ def check_joint_parameters(model: mujoco.MjModel) -> None:
 
 
 def check_mass_matrix(arm: Arm) -> None:
-    """Refuses an arm whose masses are so different that its accelerations cannot be computed.
-
-    Raises:
-        ModelError: Its mass matrix at home is singular to working precision.
-    """
+    """Refuses an arm whose mass matrix at home is singular to working precision: its accelerations cannot be computed."""
     model = arm.model
     data = mujoco.MjData(model)
     data.qpos[:] = arm.home_qpos

@@ -26,18 +26,10 @@ def make_motors(
     tau_max: Array,
     dc_motors: Sequence[DcMotor | None],
 ) -> list[str]:
-    """Turns the actuators of an arm into torque motors, in place; gears, names, armature, damping and delays stay.
+    """Turns the actuators of an arm into torque motors within tau_max, in place; one sentence for what else was changed.
 
-    A DC motor stays one: its current controller makes the torque.
-
-    Args:
-        spec: The specification that `analysis.model` was compiled from.
-        transmissions: What moves the arm's joints.
-        tau_max: (n,) N m, which become the motors' ranges.
-        dc_motors: The DC motors of the joints.
-
-    Returns:
-        What else had to be changed, one sentence each.
+    Gears, names, armature, damping and delays stay. A DC motor stays one: its current controller makes the torque. `spec`
+    is what `analysis.model` was compiled from.
     """
     joints = {j.id: j for j in spec.joints}
     motors = {a.id: a for a in spec.actuators}
@@ -90,12 +82,9 @@ def make_motors_in_model(
     tau_max: Array,
     dc_motors: Sequence[DcMotor | None],
 ) -> list[str]:
-    """Turns the actuators of an arm into torque motors in a compiled model, in place; the result acts as `make_motors`' does.
+    """As `make_motors`, in a compiled model.
 
-    A DC motor stays one.
-
-    Raises:
-        ModelError: An actuator has an activation state, several controls or a plugin, which a compiled model cannot lose.
+    ModelError if an actuator has an activation state, several controls or a plugin, which a compiled model cannot lose.
     """
     for transmission in transmissions:
         for joint in transmission.coupled:

@@ -23,18 +23,12 @@ _MAX_NAMES_CHARACTERS = 200  # of links in a note
 
 @dataclass(frozen=True, eq=False)
 class PreparedModel:
-    """A model with torque motors.
-
-    Attributes:
-        plans: The arms; their bodies are numbered as in this model.
-        notes: What was changed besides the motors, one sentence each; they are reported as warnings.
-        quiet_notes: Changes that need no warning, one sentence each.
-    """
+    """A model with torque motors."""
 
     model: mujoco.MjModel
-    plans: tuple[ArmPlan, ...]
-    notes: tuple[str, ...]
-    quiet_notes: tuple[str, ...]
+    plans: tuple[ArmPlan, ...]  # the arms; their bodies are numbered as in this model
+    notes: tuple[str, ...]  # what was changed besides the motors, one sentence each; they are reported as warnings
+    quiet_notes: tuple[str, ...]  # changes that need no warning, one sentence each
 
 
 def make_arm_model(
@@ -45,16 +39,10 @@ def make_arm_model(
     loose_links: Collection[str] = (),
     edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> PreparedModel:
-    """Gives the arms torque motors, adds the target and compiles; `spec` is changed in place.
+    """Gives the arms torque motors, adds the target and compiles; `spec`, from which `analysis.model` came, is changed.
 
-    Args:
-        source: Where the model comes from, for errors.
-        spec: The specification that `analysis.model` was compiled from.
-        loose_links: Bodies of which no file says which of them may touch: those that touch at home may.
-        edit: What else changes the specification, last.
-
-    Raises:
-        ModelError: MuJoCo cannot compile the result.
+    `loose_links` are bodies of which no file says which of them may touch: those that touch at home may. `edit` is the last
+    change.
     """
     original = analysis.model
     bodies = {body.id: body for body in spec.bodies}
@@ -107,9 +95,6 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
     """Gives the arms torque motors in a copy of the compiled model.
 
     A compiled model cannot get further elements, so there are no excluded contacts, no target and no body for payloads.
-
-    Raises:
-        ModelError: An actuator has an activation state, several controls or a plugin, which a compiled model cannot lose.
     """
     original = analysis.model
     model = copy.copy(original)

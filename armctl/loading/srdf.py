@@ -23,17 +23,12 @@ _QPOS_SIZES = {mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}
 
 @dataclass(frozen=True, eq=False)
 class Srdf:
-    """What an SRDF says about a robot.
-
-    Attributes:
-        disabled: The pairs of links whose contacts are switched off, each sorted by name.
-        groups: The base link and the tip link of each group that is a chain.
-        states: Positions of joints, rad or m, in each named state; those of several groups are merged.
-    """
+    """What an SRDF says about a robot."""
 
     path: Path
-    disabled: frozenset[tuple[str, str]]
-    groups: dict[str, tuple[str, str]]
+    disabled: frozenset[tuple[str, str]]  # the pairs of links whose contacts are switched off, each sorted by name
+    groups: dict[str, tuple[str, str]]  # the base link and the tip link of each group that is a chain
+    # Positions of joints, rad or m, in each named state; those of several groups are merged
     states: dict[str, dict[str, float]]
 
     @property
@@ -62,11 +57,7 @@ def find_srdf(urdf: UrdfFile) -> Srdf | None:
 
 
 def read_srdf(path: Path) -> Srdf:
-    """Reads an SRDF.
-
-    Raises:
-        ModelError: It cannot be read, is no SRDF, or a position in it is not a finite number.
-    """
+    """Reads an SRDF; ModelError if it is none."""
     root = parse_xml(model_bytes(path), path)
     if root.tag != "robot":
         raise ModelError(f"{shown_path(path)}: no SRDF: its first element is <{root.tag:.40}>, not <robot>")
@@ -85,12 +76,9 @@ def read_srdf(path: Path) -> Srdf:
 
 
 def apply_srdf(spec: mujoco.MjSpec, srdf: Srdf) -> list[str]:
-    """Excludes the contacts that an SRDF disables and makes its home the keyframe `home`, in place.
+    """Excludes the contacts that an SRDF disables and makes its home the keyframe `home`, in place; a sentence for each.
 
     What it says about links and joints that the robot does not have is left out.
-
-    Returns:
-        What was changed, one sentence each; these need no warning.
     """
     bodies = {body.name for body in spec.bodies}
     present = {tuple(sorted((exclude.bodyname1, exclude.bodyname2))) for exclude in spec.excludes}

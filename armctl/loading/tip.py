@@ -30,7 +30,6 @@ class Tip:
 
 
 def tip_of_chain(model: mujoco.MjModel, joints: Joints) -> Tip:
-    """The tip of a chain without a named one."""
     return tip_on(model, int(model.jnt_bodyid[joints[-1]]))
 
 
@@ -69,12 +68,7 @@ def axis_note(model: mujoco.MjModel, joints: Joints, tip: Tip) -> list[str]:
 
 
 def named_tip(model: mujoco.MjModel, name: str) -> Tip:
-    """The site of a name as a tip, else the body, else the geom.
-
-    Raises:
-        InputError: The argument is no string.
-        UnknownNameError: There is none of that name.
-    """
+    """The site of a name as a tip, else the body, else the geom; UnknownNameError if there is none."""
     instance("tip", name, str, "give the name of a site, body or geom")
     site = object_id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     if site >= 0:
@@ -90,12 +84,7 @@ def named_tip(model: mujoco.MjModel, name: str) -> Tip:
 
 
 def named_body(model: mujoco.MjModel, name: str) -> int:
-    """The number of the body of a name.
-
-    Raises:
-        InputError: The argument is no string.
-        UnknownNameError: There is none of that name.
-    """
+    """The number of the body of a name; UnknownNameError if there is none."""
     instance("base", name, str, "give the name of a body")
     body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 0:

@@ -12,13 +12,10 @@ _NAMES_IN_A_NOTE = 12
 
 
 def add_missing_motors(spec: mujoco.MjSpec) -> list[str]:
-    """Makes a robot movable by motors, in place.
+    """Makes a robot movable by motors, in place; a sentence for each change.
 
-    A weld of a moving body to a mocap body is removed, and the joints above that body get motors. If nothing in the file has an
-    actuator, all hinge and slide joints get motors, except those that an equality makes follow another.
-
-    Returns:
-        What was changed, one sentence each.
+    A weld of a moving body to a mocap body is removed, and the joints above that body get motors. If nothing in the file
+    has an actuator, all hinge and slide joints get motors, except those that an equality makes follow another.
     """
     try:
         return _added_motors(spec)
@@ -55,7 +52,6 @@ def _mocap_welds(spec: mujoco.MjSpec) -> Iterator[tuple[mujoco.MjsEquality, mujo
 
 
 def _joints_above(body: mujoco.MjsBody | None) -> list[mujoco.MjsJoint]:
-    """The joints that carry a body, from the base."""
     joints: list[mujoco.MjsJoint] = []
     while body is not None and body.name != "world":
         joints = [*body.joints, *joints]

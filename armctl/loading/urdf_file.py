@@ -19,19 +19,12 @@ _ZERO_INERTIA = {"ixx": "0", "ixy": "0", "ixz": "0", "iyy": "0", "iyz": "0", "iz
 
 @dataclass(frozen=True, eq=False)
 class UrdfFile:
-    """A URDF as XML.
+    """A URDF as XML."""
 
-    Attributes:
-        path: The file; its meshes are searched from here.
-        root: The element <robot>, with xacro expanded. Prefixes are part of the names.
-        text: What MuJoCo reads instead of the file; None if it can read the file itself.
-        notes: What was changed in the text, one sentence each.
-    """
-
-    path: Path
-    root: ElementTree.Element
-    text: str | None = None
-    notes: tuple[str, ...] = ()
+    path: Path  # the file; its meshes are searched from here
+    root: ElementTree.Element  # the element <robot>, with xacro expanded. Prefixes are part of the names.
+    text: str | None = None  # what MuJoCo reads instead of the file; None if it can read the file itself
+    notes: tuple[str, ...] = ()  # what was changed in the text, one sentence each
 
 
 def is_urdf(path: Path) -> bool:
@@ -40,12 +33,7 @@ def is_urdf(path: Path) -> bool:
 
 
 def read_urdf_file(path: Path) -> UrdfFile:
-    """Reads a URDF, or expands a xacro.
-
-    Raises:
-        ModelError: The file is no well-formed XML, declares entities, or is a xacro that cannot be expanded; or it has a planar
-            joint.
-    """
+    """Reads a URDF, or expands a xacro; ModelError if that is not possible, or a joint is planar."""
     content = model_bytes(path)
     root = parse_xml(content, path)
     text = None
@@ -62,10 +50,9 @@ def read_urdf_file(path: Path) -> UrdfFile:
 
 
 def parse_xml(content: bytes, path: Path) -> ElementTree.Element:
-    """The root element of an XML document whose namespace prefixes need no declaration, as in MuJoCo and other URDF readers.
+    """The root of an XML document whose prefixes need no declaration, as in MuJoCo and other URDF readers.
 
-    Raises:
-        ModelError: It is no well-formed XML, or declares entities, which could expand to gigabytes.
+    ModelError if it is not well-formed, or declares entities, which could expand to gigabytes.
     """
     builder = ElementTree.TreeBuilder()
     try:
@@ -117,11 +104,7 @@ def _is_xacro(root: ElementTree.Element) -> bool:
 
 
 def _expanded(path: Path) -> str:
-    """The URDF of a xacro.
-
-    Raises:
-        ModelError: xacrodoc is not installed, or it cannot expand the file.
-    """
+    """The URDF of a xacro; ModelError if xacrodoc is not installed or cannot expand it."""
     try:
         xacrodoc = importlib.import_module("xacrodoc")
     except ImportError:

@@ -29,12 +29,9 @@ class Couplings:
         return [equality for equality in found if self.model.eq_type[equality] == JOINT_EQUALITY]
 
     def reason(self, joint: int, coupled: frozenset[int]) -> str:
-        """The sentence why a joint does not move independently of all others; empty if it does.
+        """The sentence why a joint does not move independently of all but those `coupled` to it; empty if it does.
 
-        Args:
-            joint: Its number.
-            coupled: The joints that move as one with it, at fixed ratios. A tendon that only drives or limits these couples
-                nothing else.
+        A tendon that only drives or limits these couples nothing else.
         """
         own = {int(self.model.jnt_dofadr[other]) for other in coupled}
         return self._equality_reason(joint, own) or self._tendon_reason(joint, own)

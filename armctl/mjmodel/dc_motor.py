@@ -29,20 +29,13 @@ _NO_STIFFNESS = 1e-30  # of bristles; MuJoCo requires a number above 0 where the
 
 @dataclass(frozen=True)
 class DcMotor:
-    """A motor with a winding, seen from its joint. It gives the torque |tau + tau_stall v / v_no_load| <= tau_stall.
+    """A motor with a winding, seen from its joint. It gives the torque |tau + tau_stall v / v_no_load| <= tau_stall."""
 
-    Attributes:
-        actuator: Its number.
-        voltage: V, the greatest one at its terminals; infinite if nothing limits it.
-        stall_torque: N m, at rest and full voltage.
-        no_load_speed: rad/s, at full voltage without a load.
-        features: What else the file gives it, one phrase each: it acts in simulation, and no controller models it.
-    """
-
-    actuator: int
-    voltage: float
-    stall_torque: float
-    no_load_speed: float
+    actuator: int  # its number
+    voltage: float  # V, the greatest one at its terminals; infinite if nothing limits it
+    stall_torque: float  # N m, at rest and full voltage
+    no_load_speed: float  # rad/s, at full voltage without a load
+    # What else the file gives it, one phrase each: it acts in simulation, and no controller models it
     features: tuple[str, ...]
 
 
@@ -53,12 +46,10 @@ def is_dc_motor(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def dc_motor(model: mujoco.MjModel, actuator: int, gear: float, nominal: list[tuple[float, float, float]]) -> DcMotor:
-    """A `dcmotor` actuator.
+    """A `dcmotor` actuator behind a gear.
 
-    Args:
-        gear: Torque on its joint per torque of the motor.
-        nominal: Voltage, stall torque and no-load speed of the motors in the file: MuJoCo keeps only what they imply, the
-            resistance and the motor constant.
+    `nominal` has voltage, stall torque and no-load speed of the motors in the file: MuJoCo keeps only what they imply, the
+    resistance and the motor constant.
     """
     resistance = float(model.actuator_gainprm[actuator, _RESISTANCE])
     constant = float(model.actuator_gainprm[actuator, _CONSTANT])

@@ -35,15 +35,9 @@ def payload_body(model: mujoco.MjModel, body: int) -> int | None:
 
 
 def add_point_mass(model: mujoco.MjModel, body: int, mass: float, point: Array) -> None:
-    """Adds a point mass to a body, in place. The caller must call `mj_setConst` afterwards.
+    """Adds a mass, kg, at a point (3,) m of a body's frame, in place. The caller must call `mj_setConst` afterwards.
 
     If MuJoCo lifts the body by `gravcomp`, a body welded to it carries the mass, which is not lifted.
-
-    Args:
-        model: The compiled model, changed in place.
-        body: The body that carries the mass.
-        mass: kg, above 0.
-        point: (3,) m, where the mass is in the body's frame.
     """
     carrier = payload_body(model, body)
     if carrier is not None:

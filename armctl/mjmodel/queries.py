@@ -106,7 +106,6 @@ def is_loose(model: mujoco.MjModel, body: int) -> bool:
 
 
 def joints_of(model: mujoco.MjModel, body: int) -> Joints:
-    """The joints between a body and its parent, in order."""
     first = int(model.body_jntadr[body])
     return tuple(range(first, first + int(model.body_jntnum[body])))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from armctl.core.validation import Array
+from armctl.core.validation import Array, IntArray
 from armctl.mjmodel.queries import SCALAR, joint_actuators, joints_above
 
 _PARALLEL = 1e-6  # of the sine of the angle between two axes
@@ -42,10 +42,12 @@ def spring_joints(model: mujoco.MjModel) -> dict[int, int]:
     return found
 
 
-def settle_springs(model: mujoco.MjModel, data: mujoco.MjData, joints: list[int]) -> None:
-    """Moves spring joints to where gravity and their springs balance, the other joints held, in place."""
-    if not joints:
-        return
+def settle_springs(model: mujoco.MjModel, data: mujoco.MjData, joints: list[int], motors: IntArray) -> None:
+    """Moves spring joints to where gravity and their springs balance, and motors so that the links stay, in place.
+
+    Args:
+        motors: The addresses of the motors before them in `MjData.qpos`.
+    """
     positions = model.jnt_qposadr[joints]
     dofs = model.jnt_dofadr[joints]
     stiffness = model.jnt_stiffness[joints]
@@ -53,5 +55,6 @@ def settle_springs(model: mujoco.MjModel, data: mujoco.MjData, joints: list[int]
         mujoco.mj_forward(model, data)
         load: Array = data.qfrc_passive[dofs] - data.qfrc_bias[dofs]
         data.qpos[positions] += load / stiffness
+        data.qpos[motors] -= load / stiffness
         if np.abs(load).max() <= _SETTLED * max(1.0, float(np.abs(data.qfrc_bias[dofs]).max())):
             return

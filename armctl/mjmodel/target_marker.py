@@ -14,7 +14,7 @@ from armctl.core.validation import Array
 
 TARGET = "target"
 _COLOR = (0.0, 1.0, 0.0, 0.5)  # rgba
-_RADIUS = 0.03  # m
+_RADIUS = 0.015  # m
 
 
 def find_target(model: mujoco.MjModel) -> int | None:
@@ -29,11 +29,7 @@ def is_movable(model: mujoco.MjModel) -> bool:
 
 
 def target_pose(model: mujoco.MjModel, data: mujoco.MjData) -> Pose:
-    """T_world_target, as of the last forward kinematics of `data`.
-
-    Raises:
-        ModelError: The model has no target.
-    """
+    """T_world_target, as of the last forward kinematics of `data`; ModelError if the model has no target."""
     body = find_target(model)
     if body is None:
         raise ModelError(f"the model has no body named {TARGET!r}; load it from a file or an MjSpec, and armctl adds one")
@@ -51,11 +47,7 @@ def set_target(model: mujoco.MjModel, data: mujoco.MjData, position: Array, quat
 
 
 def read_target(model: mujoco.MjModel, data: mujoco.MjData) -> Pose:
-    """T_world_target as a user has moved it, also before the next forward kinematics.
-
-    Raises:
-        ModelError: The model has no target.
-    """
+    """T_world_target as a user has moved it, also before the next forward kinematics."""
     mocap = _mocap(model)
     if mocap is None:
         return target_pose(model, data)

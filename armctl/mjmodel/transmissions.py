@@ -21,30 +21,20 @@ from armctl.mjmodel.spring_joints import spring_joints
 
 @dataclass(frozen=True)
 class Mimic:
-    """How a joint follows another: position = ratio x position of the other + offset.
+    """How a joint follows another: position = ratio x position of the other + offset."""
 
-    Attributes:
-        ratio: Speed of the joint per unit speed of the other.
-        offset: rad (m), its position when the other is at zero.
-    """
-
-    ratio: float
-    offset: float
+    ratio: float  # speed of the joint per unit speed of the other
+    offset: float  # rad (m), its position when the other is at zero
 
 
 @dataclass(frozen=True)
 class Transmission:
-    """What moves a joint.
-
-    Attributes:
-        moments: Torque on each joint that the actuator acts on, per unit of actuator force, N m.
-        coupled: The joints that move as one with this one, itself first, and how they follow it.
-    """
+    """What moves a joint."""
 
     joint: int
     actuator: int
-    moments: dict[int, float]
-    coupled: dict[int, Mimic]
+    moments: dict[int, float]  # torque on each joint that the actuator acts on, per unit of actuator force, N m
+    coupled: dict[int, Mimic]  # the joints that move as one with this one, itself first, and how they follow it
 
     @property
     def gear(self) -> float:
@@ -73,12 +63,9 @@ class Transmissions:
         return self._known[joint]
 
     def of_chain(self, joints: Joints) -> tuple[Transmission, ...]:
-        """One transmission per driven degree of freedom of a chain, from the base to the tip.
+        """One transmission per driven degree of freedom of a chain, from the base to the tip; ModelError if one has none.
 
         The joint of each is the first of its coupled joints in the chain.
-
-        Raises:
-            ModelError: A joint cannot be driven by one actuator.
         """
         found: list[Transmission] = []
         covered: set[int] = set()

@@ -14,10 +14,7 @@ _LIMIT_ROUNDING = 1e-9  # of a limit
 
 
 def planning_arm(arm: Arm, speed: float) -> Arm:
-    """The arm with its limits at a fraction of the full speed.
-
-    Raises InputError if it is not an arm, if a limit on speed, acceleration or jerk is infinite, or if speed is outside (0, 1].
-    """
+    """The arm with its limits at a fraction of the full speed; InputError if one is infinite."""
     check_arm(arm)
     for name in ("v_max", "a_max", "j_max"):
         bound = getattr(arm.limits, name)
@@ -31,8 +28,7 @@ def planning_arm(arm: Arm, speed: float) -> Arm:
 def start_state(arm: Arm, q_start: ArrayLike | Setpoint) -> Setpoint:
     """A caller's start: at rest at joint positions, or in motion if it is a setpoint.
 
-    Raises InputError for a wrong length or a number that is not finite, and LimitError outside the limits, also if the
-    acceleration would take a joint beyond its greatest speed.
+    LimitError outside the limits, also if the acceleration would take a joint beyond its greatest speed.
     """
     if not isinstance(q_start, Setpoint):
         zero = np.zeros(arm.n)

@@ -64,9 +64,7 @@ def _weighted(pieces: Pieces, weights: Array, delays: Array) -> Pieces:
     last = piecewise.sample(pieces, np.array([duration])).q[0]
     for weight, delay in zip(weights, delays, strict=True):
         inside = (middles > delay) & (middles < delay + duration)
-        _, index = piecewise.locate(pieces.knots, middles[inside] - delay)
-        moved = piecewise.shifted(pieces.coefficients[index], starts[inside] - delay - pieces.knots[index])
-        total[inside] += weight * moved
+        total[inside] += weight * piecewise.restarted(pieces, middles[inside] - delay, starts[inside] - delay)
         total[middles <= delay, 0] += weight * first
         total[middles >= delay + duration, 0] += weight * last
     return Pieces(knots, total)

@@ -17,11 +17,10 @@ from armctl.core.validation import Array, number, shown, vector
 from armctl.ik.all_solutions import solve_ik_all
 from armctl.motion.checks import planning_arm
 from armctl.motion.moving_start import planned_from
-from armctl.motion.path.blending import Blend, CompositePath, SubPath
-from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
+from armctl.motion.path.geometry import Blend, Circle, CompositePath, Shape, Straight, SubPath, Turn
 from armctl.motion.path.joint_path import JointPath, joint_path_along
 from armctl.motion.path.tip_caps import TipCaps
-from armctl.motion.sections import NO_LIMITS, SectionLimits, pause, section_dwell, section_limits, within_sections
+from armctl.motion.sections import Section, is_limited, pause, within_sections
 from armctl.motion.timing.path_timing import time_optimal
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
@@ -37,49 +36,33 @@ _MAX_COORDINATE = 1e9  # m
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
-    """A straight line of the tip, for `move_path`.
+class Line(Section):
+    """A straight line of the tip, for `move_path`; `speed`, `acceleration`, `payload` and `dwell` are those of a `Via`.
 
     Attributes:
         target: T_world_tip at its end, or (3,) m with the orientation left free.
         blend: m, the radius in which the corner at its end may be rounded; None for that of the path.
-        speed: Fraction of the speed that the motion has without it, in (0, 1].
-        acceleration: Fraction of the joints' acceleration limits, in (0, 1].
-        payload: kg at the tip, in addition to the payload of the arm.
-        dwell: s, a pause at its end; the corner there is not rounded.
     """
 
     target: Pose | ArrayLike
     blend: float | None = None
-    speed: float = 1.0
-    acceleration: float = 1.0
-    payload: float = 0.0
-    dwell: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Arc:
-    """An arc of the tip, for `move_path`.
+class Arc(Section):
+    """An arc of the tip, for `move_path`; `speed`, `acceleration`, `payload` and `dwell` are those of a `Via`.
 
     Attributes:
         via: T_world_tip or (3,) m, a point that it goes through.
         target: T_world_tip at its end, or (3,) m with the orientation left free.
         angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
         blend: m, the radius in which the corner at its end may be rounded; None for that of the path.
-        speed: Fraction of the speed that the motion has without it, in (0, 1].
-        acceleration: Fraction of the joints' acceleration limits, in (0, 1].
-        payload: kg at the tip, in addition to the payload of the arm.
-        dwell: s, a pause at its end; the corner there is not rounded.
     """
 
     via: Pose | ArrayLike
     target: Pose | ArrayLike
     angle: float | None = None
     blend: float | None = None
-    speed: float = 1.0
-    acceleration: float = 1.0
-    payload: float = 0.0
-    dwell: float = 0.0
 
 
 class PathOptions(TypedDict, total=False):
@@ -99,7 +82,7 @@ class PathOptions(TypedDict, total=False):
 def move_l(
     arm: Arm, q_start: Pose | Setpoint | ArrayLike, target: Pose | ArrayLike, **options: Unpack[PathOptions]
 ) -> JointTrajectory:
-    """The fastest motion of the tip on a straight line; its orientation rotates about one axis.
+    """The fastest motion of the tip on a straight line, to rest at its end; its orientation rotates about one axis.
 
     Near a singularity, where the joints must move far, it slows down. If the arm moves at the start, the line begins where it
     would come to rest, and the arm turns onto it while it slows down.
@@ -109,9 +92,6 @@ def move_l(
             then the branch with the shortest motion is chosen.
         target: T_world_tip at the end, or (3,) m with the orientation left free.
         **options: `speed`, `tip_speed` and `tip_angular_speed`, as in `PathOptions`.
-
-    Returns:
-        The motion, at rest at its end.
 
     Raises:
         InputError: An argument of the wrong shape, kind or value.
@@ -130,7 +110,7 @@ def move_c(
     angle: float | None = None,
     **options: Unpack[PathOptions],
 ) -> JointTrajectory:
-    """The fastest motion of the tip on an arc through one point to another; its orientation rotates about one axis.
+    """The fastest motion of the tip on an arc through one point to rest at another; its orientation rotates about one axis.
 
     Args:
         q_start: As for `move_l`.
@@ -139,9 +119,6 @@ def move_c(
         angle: rad, the angle on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.
         **options: As for `move_l`.
-
-    Returns:
-        The motion, at rest at its end.
 
     Raises:
         InputError: As for `move_l`, or three points on one line.
@@ -159,7 +136,7 @@ def move_path(
     blend: float = 0.0,
     **options: Unpack[PathOptions],
 ) -> JointTrajectory:
-    """The fastest motion of the tip on lines and arcs with rounded corners.
+    """The fastest motion of the tip on lines and arcs with rounded corners, to rest at its end.
 
     Inside the blend radius of a corner the path is rounded; outside it is exact. If the radius is 0, the tip stops.
 
@@ -168,9 +145,6 @@ def move_path(
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
         **options: As for `move_l`.
-
-    Returns:
-        The motion, at rest at its end.
 
     Raises:
         InputError: As for `move_l`.
@@ -210,7 +184,7 @@ def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathO
     blends = [number("blend", request.blend if part.blend is None else part.blend, 0.0) for part in parts]
     shapes = _shapes(arm.fk(q), parts, oriented)
     legs = [
-        _Leg(shape, 0.0 if part.dwell else blend, section_limits(part), section_dwell(part))
+        _Leg(shape, 0.0 if part.dwell else blend, part)
         for shape, blend, part in zip(shapes, blends, parts, strict=True)
         if shape.length > _MIN_LENGTH or part.dwell  # to where the tip is already is no leg
     ]
@@ -251,7 +225,7 @@ def _timed(arm: Arm, limits: Limits, joint_path: JointPath, chain: _Chain, optio
     caps = TipCaps.of(arm, joint_path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
     pieces = time_optimal(joint_path, limits, caps)
     free = JointTrajectory(*joints_of(pieces), arm.joint_names, arm.limits, units=arm.units)
-    if all(section == NO_LIMITS for section in chain.sections):
+    if not any(map(is_limited, chain.sections)):
         motion = within_torque(arm, free)
     else:
         ends = np.interp(chain.ends, pieces.coefficients[:, 0, -1], pieces.knots[:-1])
@@ -273,12 +247,11 @@ def _require_limits(arm: Arm, what: str, motion: JointTrajectory) -> None:
 
 
 class _Leg(NamedTuple):
-    """A shape, the radius of the corner at its end, what holds on it, and the pause after it, s."""
+    """A shape, the radius of the corner at its end, and what holds on it."""
 
     shape: Shape
     blend: float
-    limits: SectionLimits
-    dwell: float
+    section: Section
 
 
 class _Chain(NamedTuple):
@@ -286,7 +259,7 @@ class _Chain(NamedTuple):
 
     path: CompositePath
     ends: list[float]
-    sections: list[SectionLimits]
+    sections: list[Section]
     dwell: float
 
 
@@ -325,16 +298,16 @@ def _chains(legs: list[_Leg]) -> list[_Chain]:
     chains: list[_Chain] = []
     shapes: list[Shape] = []
     ends: list[float] = []
-    sections: list[SectionLimits] = []
+    sections: list[Section] = []
     begin = 0.0
     length = 0.0
-    for i, (shape, radius, limits, dwell) in enumerate(legs):
+    for i, (shape, radius, section) in enumerate(legs):
         after = legs[i + 1].shape if i + 1 < len(legs) else None
-        sections.append(limits)
+        sections.append(section)
         length += shape.length - begin
         if after is None or radius == 0.0 or after.length <= _MIN_LENGTH:
             shapes.append(SubPath(shape, begin, shape.length))
-            chains.append(_Chain(CompositePath(shapes), [*ends, length], sections, dwell))
+            chains.append(_Chain(CompositePath(shapes), [*ends, length], sections, section.dwell))
             shapes = []
             ends = []
             sections = []

@@ -16,9 +16,8 @@ from armctl.motion.timing.path_timing import slowed_down
 from armctl.motion.torque_limits import MotionPath, within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.limit_check import is_inside
-from armctl.motion.trajectory.overlap import overlapped
 from armctl.motion.trajectory.path_stop import REST_SPEED
-from armctl.motion.trajectory.piecewise import Pieces, joints_of
+from armctl.motion.trajectory.piecewise import Pieces, joints_of, overlapped
 from armctl.robot.arm import Arm, check_arm
 
 _SAMPLES = 200  # of half a motion, between which the corner's begin is looked for

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.collision.interface import MovingJoints
 from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, matrix, vector
 from armctl.motion.checks import planning_arm
 from armctl.motion.move_j import move_j
-from armctl.motion.sections import NO_LIMITS, Via, pause, section_dwell, section_limits, within_sections
+from armctl.motion.sections import Via, is_limited, pause, within_sections
 from armctl.motion.timing.otg import slowed_to_bounds
 from armctl.motion.timing.waypoint_timing import Candidate, WaypointSearch
 from armctl.motion.torque_limits import slowed_relative_to, within_torque
@@ -54,13 +55,12 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
         if vias[k].dwell or k == len(vias) - 1:
             motions.append(_flowing(arm, planning.limits, vias[begin : k + 1], speed))
             if vias[k].dwell:
-                motions.append(pause(arm, np.asarray(vias[k].q), section_dwell(vias[k])))
+                motions.append(pause(arm, np.asarray(vias[k].q), vias[k].dwell))
             begin = k
     return joined(motions)
 
 
 def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Via]:
-    """Checked waypoints."""
     items: list[Any] = list(waypoints) if isinstance(waypoints, (list, tuple)) else []
     if any(isinstance(each, Via) for each in items):
         vias = [each if isinstance(each, Via) else Via(each) for each in items]
@@ -75,11 +75,10 @@ def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Vi
 
 def _flowing(arm: Arm, limits: Limits, vias: Sequence[Via], speed: float) -> JointTrajectory:
     """The motion through waypoints from rest to rest."""
-    sections = [section_limits(via) for via in vias[1:]]
     points = np.array([via.q for via in vias])
     apart = np.abs(np.diff(points, axis=0)).max(axis=1) > _SAME_WAYPOINT
     points = points[np.concatenate([[True], apart])]
-    sections = [section for section, is_apart in zip(sections, apart, strict=True) if is_apart]
+    sections = [section for section, is_apart in zip(vias[1:], apart, strict=True) if is_apart]
     if len(points) == 1:
         return JointTrajectory(*standing(points[0]), arm.joint_names, arm.limits, units=arm.units)
     search = WaypointSearch(points, limits)
@@ -91,7 +90,7 @@ def _flowing(arm: Arm, limits: Limits, vias: Sequence[Via], speed: float) -> Joi
         free = _timed(arm, limits, search, stopping)
     if free is None:
         raise PlanError(_TOO_CLOSE)
-    if any(section != NO_LIMITS for section in sections):
+    if any(map(is_limited, sections)):
         ends = np.cumsum(candidate.durations)
         return within_sections(arm, free, ends * (free.duration / ends[-1]), sections)
     try:
@@ -109,26 +108,7 @@ def _stopping_at_each(arm: Arm, points: Array, speed: float) -> JointTrajectory:
     return joined([move_j(arm, start, goal, speed=speed) for start, goal in pairwise(points)])
 
 
-class TimedJoints(Protocol):
-    """Joints with names, limits and units: an arm, or several."""
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The n joints."""
-        ...
-
-    @property
-    def limits(self) -> Limits:
-        """Their limits."""
-        ...
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """What each is measured in."""
-        ...
-
-
-def through_waypoints(arm: TimedJoints, points: Array) -> JointTrajectory:
+def through_waypoints(arm: MovingJoints, points: Array) -> JointTrajectory:
     """As `move_through` without the torque limits, for checked points that differ from their neighbors."""
     search = WaypointSearch(points, arm.limits)
     stopping = search.stopping()
@@ -138,7 +118,7 @@ def through_waypoints(arm: TimedJoints, points: Array) -> JointTrajectory:
     return motion
 
 
-def _timed(arm: TimedJoints, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
+def _timed(arm: MovingJoints, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
     """The motion of a candidate within all limits but those of the torque; None if rounding takes it out of them."""
     try:
         pieces = search.pieces(candidate)

@@ -15,8 +15,7 @@ from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, ending_
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.limit_check import is_inside
-from armctl.motion.trajectory.overlap import overlapped
-from armctl.motion.trajectory.piecewise import joined, sample
+from armctl.motion.trajectory.piecewise import joined, overlapped, sample
 from armctl.robot.arm import Arm
 
 _OVERLAPS = 16  # shares of the stop's duration that are tried
@@ -36,10 +35,7 @@ def planned_from(
 
 
 def stop_from(arm: Arm, start: Setpoint) -> JointTrajectory | None:
-    """The fastest stop from a start inside the limits; None if it is at rest.
-
-    Raises LimitError or PlanError if no stop inside the limits is possible.
-    """
+    """The fastest stop from a start inside the limits; None if it is at rest."""
     if not start.v.any() and not start.a.any():
         return None
     state = JointState(start.q, start.v, start.a)

@@ -99,9 +99,6 @@ class OnlineMotion:
 
         Returns:
             q, v, a at its end, each (n,).
-
-        Raises:
-            InputError: dt is no number, less than 0 or not finite.
         """
         self._t += number("dt", dt, 0.0)
         return self.setpoint

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,78 +27,49 @@ _MIN_STRETCH = 1.0005  # factors by which one stretch lengthens a motion
 _MAX_STRETCH = 1.5
 
 
-class LimitedSection(Protocol):
-    """What a section of a path says about itself: a `Via`, a `Line` or an `Arc`."""
-
-    @property
-    def speed(self) -> float:
-        """Fraction of the planned speed."""
-        ...
-
-    @property
-    def acceleration(self) -> float:
-        """Fraction of the acceleration limits."""
-        ...
-
-    @property
-    def payload(self) -> float:
-        """What is carried, kg."""
-        ...
-
-    @property
-    def dwell(self) -> float:
-        """How long the arm stands still at the end, s."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Via:
-    """A waypoint of `move_through`, and the limits of the section that ends at it.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Section:
+    """What a `Via`, a `Line` and an `Arc` say about their section of a motion.
 
     Attributes:
-        q: (n,) rad.
         speed: Fraction of the speed that the motion has without it, in (0, 1].
         acceleration: Fraction of the joints' acceleration limits, in (0, 1].
         payload: kg at the tip, in addition to the payload of the arm.
-        dwell: s, a pause at the waypoint; 0 for no stop.
+        dwell: s, a pause at its end, where no corner is rounded then; 0 for no stop.
+
+    Raises:
+        InputError: A fraction is outside (0, 1], or the payload or the pause is negative.
     """
 
-    q: ArrayLike
     speed: float = 1.0
     acceleration: float = 1.0
     payload: float = 0.0
     dwell: float = 0.0
 
+    def __post_init__(self) -> None:
+        number("speed", self.speed, _MIN_FRACTION, 1.0)
+        number("acceleration", self.acceleration, _MIN_FRACTION, 1.0)
+        number("payload", self.payload, 0.0)
+        number("dwell", self.dwell, 0.0, _MAX_DWELL_S)
 
-class SectionLimits(NamedTuple):
-    """Checked limits of a section.
+
+@dataclass(frozen=True, eq=False)
+class Via(Section):
+    """A waypoint of `move_through`, and by keywords the limits of the section that ends at it.
+
+    `speed` and `acceleration` are fractions of those that the motion has without them, `payload` is kg at the tip in addition
+    to that of the arm, and `dwell` s of rest at the waypoint.
 
     Attributes:
-        speed: Fraction of the planned speed.
-        acceleration: Fraction of the acceleration limits.
-        payload: kg.
+        q: (n,) rad.
     """
 
-    speed: float
-    acceleration: float
-    payload: float
+    q: ArrayLike
 
 
-NO_LIMITS = SectionLimits(1.0, 1.0, 0.0)
-
-
-def section_limits(section: LimitedSection) -> SectionLimits:
-    """The checked limits of a section. Raises InputError for a fraction outside (0, 1] or a negative payload."""
-    return SectionLimits(
-        number("speed", section.speed, _MIN_FRACTION, 1.0),
-        number("acceleration", section.acceleration, _MIN_FRACTION, 1.0),
-        number("payload", section.payload, 0.0),
-    )
-
-
-def section_dwell(section: LimitedSection) -> float:
-    """How long the arm stands still after a section, s. Raises InputError if it is negative."""
-    return number("dwell", section.dwell, 0.0, _MAX_DWELL_S)
+def is_limited(section: Section) -> bool:
+    """Whether a section limits the motion on it."""
+    return (section.speed, section.acceleration, section.payload) != (1.0, 1.0, 0.0)
 
 
 def pause(arm: Arm, q: Array, duration: float) -> JointTrajectory:
@@ -107,7 +78,7 @@ def pause(arm: Arm, q: Array, duration: float) -> JointTrajectory:
     return JointTrajectory(np.array([0.0, duration]), coefficients, arm.joint_names, arm.limits, units=arm.units)
 
 
-def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequence[SectionLimits]) -> JointTrajectory:
+def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequence[Section]) -> JointTrajectory:
     """A motion from rest to rest, within the limits of its k sections and of the torques, on the same path.
 
     `ends` (k,) s are the ends of the sections. `slowed` of the result says what the torque limits, with the payloads, cost.
@@ -144,7 +115,7 @@ class _Needed(NamedTuple):
 class _SectionTorques:
     """The torque limits of a motion whose sections have payloads; lengths are times in the planned motion."""
 
-    def __init__(self, arm: Arm, ends: Array, limits: Sequence[SectionLimits]):
+    def __init__(self, arm: Arm, ends: Array, limits: Sequence[Section]):
         self._ends = ends
         self._n = arm.n
         self._limits = arm.limits
@@ -181,7 +152,6 @@ class _SectionTorques:
         return worst
 
     def most_overshoot(self, pieces: Pieces) -> float:
-        """The largest `overshoot` in a motion with its length."""
         return max(float(self.overshoot(*states).max()) for states in self._samples(pieces))
 
     def _samples(self, pieces: Pieces) -> Iterator[tuple[Array, Array, Array, Array]]:

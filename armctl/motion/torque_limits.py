@@ -185,7 +185,6 @@ class InverseDynamics:
         return self.smooth(q, v, a) + self._friction.torque(v, a)
 
     def holding(self, q: Array) -> Array:
-        """At rest."""
         tau = np.empty(q.shape)
         _core.gravity_along(self._model, np.ascontiguousarray(q), tau)
         return tau

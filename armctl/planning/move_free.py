@@ -14,19 +14,20 @@ from numpy.typing import ArrayLike
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.collision.clearance import clearance_of
-from armctl.collision.interface import KeptAxis
+from armctl.collision.interface import KeptAxis, MovingJoints
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown
-from armctl.ik import solve_ik
+from armctl.ik.solve import solve_ik
 from armctl.mjmodel.queries import object_id
-from armctl.motion import JointTrajectory, move_j
 from armctl.motion.checks import planning_arm, start_state
-from armctl.motion.move_through import TimedJoints, through_waypoints
+from armctl.motion.move_j import move_j
+from armctl.motion.move_through import through_waypoints
 from armctl.motion.moving_start import begun_moving, stop_from
 from armctl.motion.torque_limits import within_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.path import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, shorten
 from armctl.robot.arm import Arm, check_arm
 
@@ -284,7 +285,7 @@ def _timed(space: FreeSpace, arm: Arm, points: Array) -> JointTrajectory:
     raise PlanError("the path is free, but no motion along it could be proved; try another seed or a smaller clearance")
 
 
-def flowing_motion(space: FreeSpace, arm: TimedJoints, points: Array) -> JointTrajectory | None:
+def flowing_motion(space: FreeSpace, arm: MovingJoints, points: Array) -> JointTrajectory | None:
     """A smooth motion along a free path that is proved free, without regard to the torques; None if there is none.
 
     A smooth motion through the points of the path leaves its lines. Where it touches, a point of the line is added and the

@@ -29,17 +29,11 @@ _MAX_IDLE_SHORTCUTS = 25  # in a row without a gain
 
 
 class FreeSpace(NamedTuple):
-    """What a motion must keep, and the checker that proves it.
+    """What a motion must keep, and the checker that proves it."""
 
-    Attributes:
-        checker: What may not be touched.
-        clearance: m, from everything.
-        keep: An axis of the tip that keeps its direction.
-    """
-
-    checker: CollisionChecker
-    clearance: float = CLEARANCE_M
-    keep: KeptAxis | None = None
+    checker: CollisionChecker  # what may not be touched
+    clearance: float = CLEARANCE_M  # m, from everything
+    keep: KeptAxis | None = None  # an axis of the tip that keeps its direction
 
     def line_is_free(self, start: Array, end: Array) -> bool:
         """Whether a straight line between two configurations is proved."""
@@ -51,15 +45,10 @@ class FreeSpace(NamedTuple):
 
 
 class FreePath(NamedTuple):
-    """A path.
+    """A path."""
 
-    Attributes:
-        points: (k, n) rad; every line between neighbors is proved free.
-        samples: How many random configurations it took.
-    """
-
-    points: Array
-    samples: int
+    points: Array  # (k, n) rad; every line between neighbors is proved free
+    samples: int  # how many random configurations it took
 
 
 def find_path(space: FreeSpace, start: Array, goals: Array, limits: Limits, rng: np.random.Generator) -> FreePath | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
-from math import comb
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -14,7 +13,10 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion import JointTrajectory, check_torque, move_j
+from armctl.motion.move_j import move_j
+from armctl.motion.torque_limits import check_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.piecewise import restarted
 from armctl.planning.move_free import flowing_motion, overlap_in_words
 from armctl.planning.path import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, shorten
 from armctl.robot.actuation import Actuation
@@ -32,24 +34,15 @@ _MAX_STRETCHES = 60
 
 @dataclass(frozen=True, eq=False)
 class ArmGroup:
-    """Several arms as one: their joints one after another. It has what planning needs of an Arm.
-
-    Attributes:
-        joint_names: The N joints.
-        joint_map: How they move all joints that are coupled to them.
-        limits: Their limits.
-        units: What each is measured in.
-        home: (N,) rad.
-        home_qpos: (nq,) the whole model at home.
-    """
+    """Several arms as one: their joints one after another. It has what planning needs of an Arm."""
 
     model: mujoco.MjModel
-    joint_names: tuple[str, ...]
-    joint_map: JointMap
-    limits: Limits
-    units: tuple[str, ...]
-    home: Array
-    home_qpos: Array
+    joint_names: tuple[str, ...]  # the N joints
+    joint_map: JointMap  # how they move all joints that are coupled to them
+    limits: Limits  # their limits
+    units: tuple[str, ...]  # what each is measured in
+    home: Array  # (N,) rad
+    home_qpos: Array  # (nq,) the whole model at home
 
     @classmethod
     def of(cls, arms: Sequence[Arm], speed: float = 1.0) -> ArmGroup:
@@ -107,26 +100,15 @@ def combined(motions: Mapping[str, JointTrajectory], columns: Mapping[str, slice
     """Motions that start at once as one: knots (K + 1,) s, coefficients (K, 6, N). Joints without a motion stay at `start`."""
     # Motions that take no time at all still need one interval, in which the arms stand.
     knots = np.unique(np.concatenate([[0.0, 1e-9], *(motion.knots for motion in motions.values())]))
-    coefficients = np.zeros((len(knots) - 1, 6, len(start)))
+    starts = knots[:-1]
+    middles = 0.5 * (starts + knots[1:])
+    coefficients = np.zeros((len(starts), 6, len(start)))
     coefficients[:, 0] = start
     for tip, motion in motions.items():
-        for k, begin in enumerate(knots[:-1]):
-            coefficients[k][:, columns[tip]] = _shifted(motion, float(begin))
+        moves = middles < motion.duration
+        coefficients[moves, :, columns[tip]] = restarted(motion.pieces, middles[moves], starts[moves])
+        coefficients[~moves, 0, columns[tip]] = motion(motion.duration).q
     return knots, coefficients
-
-
-def _shifted(motion: JointTrajectory, begin: float) -> Array:
-    """(6, n): the piece at a time, by powers of the time since then; standing after the end."""
-    if begin >= motion.duration:
-        standing = np.zeros(motion.coefficients.shape[1:])
-        standing[0] = motion(motion.duration).q
-        return standing
-    k = min(int(np.searchsorted(motion.knots, begin, side="right")), len(motion.knots) - 1) - 1
-    offset = begin - motion.knots[k]
-    piece = motion.coefficients[k]
-    powers = range(len(piece))
-    shift = np.array([[comb(j, i) * offset ** (j - i) if j >= i else 0.0 for j in powers] for i in powers])
-    return shift @ piece
 
 
 def _goals(

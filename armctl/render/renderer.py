@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import copy
+import ctypes.util
+import importlib
+import os
+import sys
 from itertools import pairwise
+from typing import Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.validation import Array, choice, integer, shown
-from armctl.render.gl import gl_context
 
 Image = NDArray[np.uint8]
 QUALITIES = ("fast", "full")
@@ -23,6 +27,8 @@ _TRACE_RADIUS = 0.0025  # of the model's extent
 _MAX_TRACE_SEGMENTS = 400
 _MIN_TRACE_SEGMENT_M = 5e-4
 _MIN_TRACE_LENGTH_M = 1e-6
+INSTALL = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
+_LIBRARY_OF_BACKEND = {"egl": "EGL", "osmesa": "OSMesa"}  # in the order of preference
 
 
 def check_size(size: tuple[int, int]) -> tuple[int, int]:
@@ -39,17 +45,7 @@ class Renderer:
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int] = (640, 480), quality: str = "fast"):
-        """A renderer for a model.
-
-        Args:
-            model: The model; the renderer keeps a copy.
-            size: Width and height in pixels.
-            quality: "fast" or "full".
-
-        Raises:
-            InputError: A size outside [16, 8192] pixels or too large for OpenGL here, or an unknown quality.
-            NotInstalledError: No OpenGL works here without a screen.
-        """
+        """A renderer that keeps a copy of the model; `size` is width and height in pixels, `quality` "fast" or "full"."""
         self._fast = choice("quality", quality, QUALITIES) == "fast"
         self.width, self.height = check_size(size)
         self._model = copy.copy(model)
@@ -83,18 +79,7 @@ class Renderer:
             self._context = None
 
     def image(self, data: mujoco.MjData, camera: mujoco.MjvCamera, trace: Array | None = None) -> Image:
-        """Draws a state.
-
-        Args:
-            data: The state, after forward kinematics.
-            trace: (k, 3) m, a path to draw as a line, such as the tip's; none if left out.
-
-        Returns:
-            (height, width, 3), red, green and blue.
-
-        Raises:
-            InputError: The renderer is closed.
-        """
+        """Draws a state, after forward kinematics: (height, width, 3). `trace` (k, 3) m is a path to draw as a line."""
         if self._context is None:
             raise InputError("renderer: it is closed; make another")
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)
@@ -135,3 +120,31 @@ def thinned(points: Array, max_segments: int) -> Array:
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     count = int(min(max_segments, max(1, total / _MIN_TRACE_SEGMENT_M)))
     return points[np.unique(np.searchsorted(along, np.linspace(0.0, total, count + 1)).clip(0, len(points) - 1))]
+
+
+class GlContext(Protocol):
+    """The common methods of MuJoCo's backends."""
+
+    def make_current(self) -> None: ...  # directs OpenGL calls of this thread to this context
+
+    def free(self) -> None: ...  # releases the memory
+
+
+def gl_context(width: int, height: int) -> GlContext:
+    """An offscreen OpenGL context, not yet current. `MUJOCO_GL` selects the backend; unset, the first one that is installed.
+
+    `mujoco.Renderer` selects its backend while mujoco is imported, and by default one that needs a screen on Linux.
+    """
+    backend = os.environ.get("MUJOCO_GL", "").strip().lower() or _installed_backend()
+    try:
+        return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+    except Exception as error:  # each backend raises other types
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise NotInstalledError(f"OpenGL by {backend} produces no picture ({why:.200}); on Debian: {INSTALL}") from None
+
+
+def _installed_backend() -> str:
+    if sys.platform == "darwin":
+        return "cgl"
+    installed = [backend for backend, library in _LIBRARY_OF_BACKEND.items() if ctypes.util.find_library(library)]
+    return installed[0] if installed else "glfw"

@@ -245,7 +245,6 @@ class Mp4Writer:
             self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
-        """Writes the last frames and closes the file."""
         with _as_os_error():
             try:
                 self._container.mux(self._stream.encode())

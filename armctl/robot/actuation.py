@@ -69,9 +69,6 @@ class Actuation:
             joint_map: The arm's joints and those coupled to them.
             transmissions: What moves the n joints.
             limits: The limits of the n joints.
-
-        Raises:
-            InputError: An argument of another type.
         """
         instance("model", model, mujoco.MjModel, "arm.model is one")
         instance("joint_map", joint_map, JointMap, "arm.joint_map is one")
@@ -103,9 +100,6 @@ class Actuation:
 
         Args:
             parts: The actuation of each arm.
-
-        Returns:
-            One actuation of all their joints.
 
         Raises:
             InputError: There are no parts, or two of them move the same joint.

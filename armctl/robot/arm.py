@@ -50,6 +50,8 @@ class _ThreadDynamics(threading.local):
 class Arm:
     """A serial arm. Returned by `armctl.load`; immutable, with read-only arrays.
 
+    Arguments `q`, `v`, `a` and `tau` of its methods are (n,) positions, velocities, accelerations and torques of its joints.
+
     Attributes:
         name: The name it was loaded by.
         model: The compiled MuJoCo model; treat it as read-only: simulations copy it.
@@ -156,7 +158,6 @@ class Arm:
 
         Args:
             what: The name of the argument, for the error.
-            q: (n,) rad.
             tolerance: rad by which they may be outside; such positions are clamped.
 
         Returns:
@@ -181,17 +182,7 @@ class Arm:
         return self.limits.clamp(given)
 
     def fk(self, q: ArrayLike) -> Pose:
-        """Forward kinematics.
-
-        Args:
-            q: (n,) rad.
-
-        Returns:
-            T_world_tip.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
-        """
+        """Forward kinematics: T_world_tip."""
         return Pose.from_rotation(*self.pinocchio_model.tip(vector("q", q, self.n)))
 
     def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:
@@ -202,23 +193,14 @@ class Arm:
 
         Returns:
             Tip positions (T, 3) m and rotation matrices (T, 3, 3), in the world.
-
-        Raises:
-            InputError: A wrong shape or a number that is not finite.
         """
         return tips(self.core_model, matrix("q", q, self.n))
 
     def jacobian(self, q: ArrayLike) -> Array:
         """The Jacobian of the tip: its twist is J(q) v.
 
-        Args:
-            q: (n,) rad.
-
         Returns:
             (6, n), linear first, world axes, at the tip.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self.pinocchio_model.jacobian(vector("q", q, self.n))
 
@@ -227,14 +209,8 @@ class Arm:
 
         If joints follow a joint of the arm, M contains their inertia: it is the mass matrix of the n joints of the arm.
 
-        Args:
-            q: (n,) rad.
-
         Returns:
             (n, n) kg m^2, symmetric and positive definite.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.mass_matrix(vector("q", q, self.n))
 
@@ -244,29 +220,16 @@ class Arm:
         This is gravity, minus gravity compensation in the model (`gravcomp`), plus the torque of joint springs. It equals
         `inverse_dynamics(q, 0, 0)`.
 
-        Args:
-            q: (n,) rad.
-
         Returns:
             (n,) N m.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.gravity(vector("q", q, self.n))
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """The Coriolis and centrifugal joint torque C(q, v) v.
 
-        Args:
-            q: (n,) rad.
-            v: (n,) rad/s.
-
         Returns:
             (n,) N m.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.coriolis(vector("q", q, self.n), vector("v", v, self.n))
 
@@ -279,16 +242,8 @@ class Arm:
         (`frictionloss`), contacts and the forces at joint limits are not included: they are constraint forces, which the state
         and the acceleration do not determine. Without these three it is MuJoCo's `mj_inverse`.
 
-        Args:
-            q: (n,) rad.
-            v: (n,) rad/s.
-            a: (n,) rad/s^2.
-
         Returns:
             (n,) N m.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.inverse_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("a", a, self.n))
 
@@ -298,16 +253,8 @@ class Arm:
         It includes and leaves out the same forces, so `forward_dynamics(q, v, inverse_dynamics(q, v, a))` is a. Torque limits
         are not applied.
 
-        Args:
-            q: (n,) rad.
-            v: (n,) rad/s.
-            tau: (n,) N m.
-
         Returns:
             (n,) rad/s^2.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.forward_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("tau", tau, self.n))
 
@@ -330,14 +277,8 @@ class Arm:
     def qpos(self, q: Array) -> Array:
         """The whole model's positions with the arm at q and all else at home.
 
-        Args:
-            q: (n,) rad.
-
         Returns:
             (nq,) for `MjData.qpos`.
-
-        Raises:
-            InputError: q has another shape, is not numeric or not finite.
         """
         qpos = self.home_qpos.copy()
         self.joint_map.set_positions(qpos, vector("q", q, self.n))
@@ -346,14 +287,8 @@ class Arm:
     def qvel(self, v: Array) -> Array:
         """The whole model's speeds with the arm moving and all else at rest.
 
-        Args:
-            v: (n,) rad/s.
-
         Returns:
             (nv,) for `MjData.qvel`.
-
-        Raises:
-            InputError: v has another shape, is not numeric or not finite.
         """
         qvel = np.zeros(self.model.nv)
         self.joint_map.set_speeds(qvel, vector("v", v, self.n))
@@ -431,9 +366,5 @@ class Arm:
 
 
 def check_arm(arm: object) -> None:
-    """Checks that an argument is an arm.
-
-    Raises:
-        InputError: It is something else, such as a name.
-    """
+    """Raises InputError if an argument is not an arm."""
     instance("arm", arm, Arm, f"armctl.load({arm if isinstance(arm, str) else 'panda'!r}) returns one")

@@ -69,17 +69,9 @@ def model_arrays(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> dict
 
 
 def core_model(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> _core.ArmModel:
-    """The model of an arm for the compiled core, in continuous time.
+    """The model of an arm for the compiled core, in continuous time; `for_period` makes that of a control period.
 
-    Args:
-        model: The compiled MuJoCo model, `arm.model`.
-        pinocchio_model: The arm's Pinocchio model, `arm.pinocchio_model`.
-
-    Returns:
-        The model; `for_period` makes that of a control period.
-
-    Raises:
-        ModelError: The core's dynamics differ from Pinocchio's.
+    ModelError if the core's dynamics differ from Pinocchio's.
     """
     core = _core.ArmModel(**model_arrays(model, pinocchio_model))
     _check(core, Dynamics(model, pinocchio_model), pinocchio_model)

@@ -27,18 +27,13 @@ class Integrator:
     """Which forces MuJoCo's integrator evaluates at the velocity at the end of a step.
 
     Source: MuJoCo documentation, Computation, "Numerical integration".
-
-    Attributes:
-        implicit_damping: Joint damping: Euler (unless `eulerdamp` is disabled), implicitfast and implicit.
-        implicit_coriolis: Coriolis and centrifugal forces: implicit.
     """
 
-    implicit_damping: bool
-    implicit_coriolis: bool
+    implicit_damping: bool  # joint damping: Euler (unless `eulerdamp` is disabled), implicitfast and implicit
+    implicit_coriolis: bool  # coriolis and centrifugal forces: implicit
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Integrator:
-        """The integrator that a model's options choose."""
         kind = mujoco.mjtIntegrator(model.opt.integrator)
         euler_damp = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         explicit_euler = kind == mujoco.mjtIntegrator.mjINT_EULER and not euler_damp
@@ -61,20 +56,10 @@ class Dynamics:
     """The equations of motion of an arm; everything outside its chain stands still.
 
     An object has its own scratch memory: use it in one thread at a time.
-
-    Attributes:
-        damping: (n,) N m s/rad, linear viscous damping of the joints.
-        friction_loss: (n,) N m, dry friction of the joints.
-        has_friction: Whether any joint has dry friction.
     """
 
     def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
-        """The dynamics of an arm.
-
-        Args:
-            model: The compiled MuJoCo model, `arm.model`.
-            pinocchio_model: The arm's Pinocchio model, `arm.pinocchio_model`.
-        """
+        """The dynamics of an arm with this model and Pinocchio model."""
         joint_map = pinocchio_model.joint_map
         passive = PassiveForces(model, joint_map)
         integrator = Integrator.of(model)
@@ -83,9 +68,9 @@ class Dynamics:
         self._is_damped = passive.is_damped
         self._has_nonlinear_damping = passive.has_nonlinear_damping
         self._dry_friction = DryFriction.of(model, joint_map)
-        self.damping = passive.damping
-        self.friction_loss = self._dry_friction.loss
-        self.has_friction = bool(self.friction_loss.any())
+        self.damping = passive.damping  # (n,) N m s/rad, linear viscous damping of the joints
+        self.friction_loss = self._dry_friction.loss  # (n,) N m, dry friction of the joints
+        self.has_friction = bool(self.friction_loss.any())  # whether any joint has dry friction
         self._model = pinocchio_model.pin_model
         self._data = self._model.createData()
         # In LOCAL, the faster one, Pinocchio adds mimic joints to what an earlier call left behind.
@@ -142,28 +127,15 @@ class Dynamics:
             tau = tau + dt * self._implicit_nonlinear_change(q, v, a)
         return self._with_position_forces(tau, q) if self._has_position_forces else tau
 
-    def inverse_midpoint(self, q: Array, v: Array, a: Array, dt: float) -> Array:
-        """Torque that, held constant for dt, changes the velocity of a continuous-time arm by a dt; (n,) N m.
-
-        This is the inverse dynamics at the middle of the interval; the error is of order dt^2. q and v are those at its start.
-        """
-        half = 0.5 * dt
-        return self.inverse_dynamics(q + half * v, v + half * a, a)
-
     def forward_dynamics(self, q: Array, v: Array, tau: Array) -> Array:
         """Acceleration in continuous time, without dry friction: the inverse of `inverse_dynamics`; (n,) rad/s^2."""
         return self._solve_mass_matrix(q, tau - self.inverse_dynamics(q, v, np.zeros_like(v)))
 
     def payload_regressor(self, q: Array, v: Array, a: Array) -> Array:
-        """The torques of a point mass at the tip, linear in its mass m and first moment m c in the tip's frame.
+        """(n, 4): `regressor @ [m, m cx, m cy, m cz]` is the torque of a point mass m at c in the tip's frame.
 
-        The inertia m c c^T about the tip is not linear in these four and is left out: it is small if c is.
-
-        Returns:
-            (n, 4), N m per kg and per kg m: `regressor @ [m, m cx, m cy, m cz]` is a torque.
-
-        Raises:
-            ModelError: A joint of the arm follows another: Pinocchio has no regressor for that.
+        The inertia m c c^T about the tip is not linear in these four and is left out: it is small if c is. ModelError
+        if a joint of the arm follows another: Pinocchio has no regressor for that.
         """
         if self._followers:
             raise ModelError(f"{self._followers[0]}: no payload can be identified where one joint follows another")

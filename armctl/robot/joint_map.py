@@ -19,38 +19,22 @@ class JointMap:
     """All m joints that an arm moves: the chain's, from the base to the tip, then those outside it that follow one of these.
 
     Their positions are `ratio @ q + offset`, of the arm's n. In a plain chain no joint follows another, and m = n.
-
-    Attributes:
-        joints: Their numbers.
-        leaders: Which of them the arm's n are.
-        ratio: (m, n).
-        offset: (m,) rad.
-        qpos_adr: (m,) where they are in `MjData.qpos`.
-        dof_adr: (m,) where they are in `MjData.qvel`.
     """
 
-    joints: Joints
-    leaders: IntArray
-    ratio: Array
-    offset: Array
-    qpos_adr: IntArray
-    dof_adr: IntArray
+    joints: Joints  # their numbers
+    leaders: IntArray  # which of them the arm's n are
+    ratio: Array  # (m, n)
+    offset: Array  # (m,) rad
+    qpos_adr: IntArray  # (m,) where they are in `MjData.qpos`
+    dof_adr: IntArray  # (m,) where they are in `MjData.qvel`
 
     @property
     def is_plain(self) -> bool:
-        """Whether no joint follows another."""
         return len(self.leaders) == len(self.joints)
 
     @classmethod
     def from_transmissions(cls, model: mujoco.MjModel, chain: Joints, transmissions: Sequence[Transmission]) -> JointMap:
-        """The joint map of a chain.
-
-        Args:
-            chain: The joints of the chain, from the base to the tip.
-
-        Returns:
-            The joint map; the joints of the chain come first in it.
-        """
+        """The joint map of a chain, whose joints, from the base to the tip, come first in it."""
         coupled = sorted({joint for each in transmissions for joint in each.coupled} - set(chain))
         joints = (*chain, *coupled)
         row_of = {joint: row for row, joint in enumerate(joints)}
@@ -72,17 +56,7 @@ class JointMap:
 
     @classmethod
     def concatenated(cls, parts: Sequence[JointMap]) -> JointMap:
-        """The joint maps of several arms of one model as one.
-
-        Args:
-            parts: The joint maps, at least one.
-
-        Returns:
-            The joints of all arms, in the order of the arms.
-
-        Raises:
-            InputError: Two arms move the same joint.
-        """
+        """The joint maps of several arms of one model as one, in the order of the arms."""
         joints = tuple(joint for part in parts for joint in part.joints)
         if len(set(joints)) < len(joints):
             raise InputError("arms: two of them move the same joint; give arms that share no joint")
@@ -114,47 +88,19 @@ class JointMap:
         qvel[self.dof_adr] = self.speeds(v)
 
     def positions(self, q: Array) -> Array:
-        """Where all of them are.
-
-        Args:
-            q: (..., n) rad.
-
-        Returns:
-            (..., m) rad.
-        """
+        """The positions (..., m) of all of them, rad, for q (..., n)."""
         return q if self.is_plain else q @ self.ratio.T + self.offset
 
     def speeds(self, v: Array) -> Array:
-        """How fast all of them are.
-
-        Args:
-            v: (..., n) rad/s.
-
-        Returns:
-            (..., m) rad/s.
-        """
+        """The speeds (..., m) of all of them, rad/s, for v (..., n)."""
         return v if self.is_plain else v @ self.ratio.T
 
     def reduced(self, x: Array) -> Array:
-        """Forces, or gradients, on a whole model's joints as those on the arm's, by virtual work.
-
-        Args:
-            x: (..., nv).
-
-        Returns:
-            (..., n).
-        """
+        """Forces, or gradients, (..., nv) on a whole model's joints as those (..., n) on the arm's, by virtual work."""
         x = x[..., self.dof_adr]
         return x if self.is_plain else x @ self.ratio
 
     def reduced_matrix(self, X: Array) -> Array:
-        """A mass matrix, or a quadratic form, on a whole model's joints as that on the arm's.
-
-        Args:
-            X: (nv, nv).
-
-        Returns:
-            (n, n).
-        """
+        """A mass matrix, or a quadratic form, (nv, nv) on a whole model's joints as that (n, n) on the arm's."""
         X = X[self.dof_adr[:, None], self.dof_adr]
         return X if self.is_plain else self.ratio.T @ X @ self.ratio

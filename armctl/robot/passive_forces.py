@@ -37,36 +37,26 @@ def set_dry_friction(model: mujoco.MjModel, joint_map: JointMap, loss: Array, sl
 
 
 class PassiveForces:
-    """Joint springs and viscous damping, both with MuJoCo's higher-order terms.
-
-    Attributes:
-        damping: (n,) N m s/rad, the linear part of the damping.
-        quadratic_damping: (n,) N m s^2/rad^2.
-        cubic_damping: (n,) N m s^3/rad^3.
-        stiffness: (m, 3) linear, quadratic and cubic stiffness of the spring of every joint that the arm moves.
-        rest: (m,) rad, where the springs are at rest.
-        is_damped: Whether any joint has damping.
-        has_nonlinear_damping: Whether the damping of any joint is not linear.
-        has_springs: Whether any joint has a spring.
-    """
+    """Joint springs and viscous damping, both with MuJoCo's higher-order terms."""
 
     def __init__(self, model: mujoco.MjModel, joint_map: JointMap):
-        """The passive forces of the joints that an arm moves."""
         dofs = joint_map.dof_adr
         joints = model.dof_jntid[dofs]
         ratio = np.abs(joint_map.ratio.T)
         damper = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
         spring = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
         # A joint that follows with |dq_i/dq| = r contributes r^(k + 1) of its term in v^k, by virtual work.
-        self.damping = ratio**2 @ model.dof_damping[dofs] * damper
-        self.quadratic_damping = ratio**3 @ (model.dof_dampingpoly[dofs, 0] * damper)
-        self.cubic_damping = ratio**4 @ (model.dof_dampingpoly[dofs, 1] * damper)
+        self.damping = ratio**2 @ model.dof_damping[dofs] * damper  # (n,) N m s/rad, the linear part of the damping
+        self.quadratic_damping = ratio**3 @ (model.dof_dampingpoly[dofs, 0] * damper)  # (n,) N m s^2/rad^2
+        self.cubic_damping = ratio**4 @ (model.dof_dampingpoly[dofs, 1] * damper)  # (n,) N m s^3/rad^3
+        # (m, 3) linear, quadratic and cubic stiffness of the spring of every joint that the arm moves
         self.stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]]) * spring
-        self.rest = model.qpos_spring[joint_map.qpos_adr].copy()
+        self.rest = model.qpos_spring[joint_map.qpos_adr].copy()  # (m,) rad, where the springs are at rest
         self._joint_map = joint_map
+        # Whether the damping of any joint is not linear
         self.has_nonlinear_damping = bool(self.quadratic_damping.any() or self.cubic_damping.any())
-        self.is_damped = self.has_nonlinear_damping or bool(self.damping.any())
-        self.has_springs = bool(self.stiffness.any())
+        self.is_damped = self.has_nonlinear_damping or bool(self.damping.any())  # whether any joint has damping
+        self.has_springs = bool(self.stiffness.any())  # whether any joint has a spring
 
     def damping_torque(self, v: Array) -> Array:
         """v (d0 + d1 |v| + d2 v^2), (n,) N m."""
@@ -92,16 +82,11 @@ class DryFriction:
 
     Source: MuJoCo documentation, Computation, "Constraint model". The constraint force of a joint is
     -clip((a + rate v) gain, +-loss), where gain and rate follow from `solreffriction` and `solimpfriction`.
-
-    Attributes:
-        loss: (n,) N m, the friction at any but very small speeds.
-        gain: (n,) kg m^2, the inverse of the constraint's regularization R.
-        rate: (n,) 1/s, the damping b of the constraint.
     """
 
-    loss: Array
-    gain: Array
-    rate: Array
+    loss: Array  # (n,) N m, the friction at any but very small speeds
+    gain: Array  # (n,) kg m^2, the inverse of the constraint's regularization R
+    rate: Array  # (n,) 1/s, the damping b of the constraint
 
     @classmethod
     def of(cls, model: mujoco.MjModel, joint_map: JointMap) -> DryFriction:

@@ -34,25 +34,17 @@ class _Memory(threading.local):
 
 @dataclass(frozen=True, eq=False)
 class PinocchioModel:
-    """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them.
+    """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them."""
 
-    Attributes:
-        joint_map: How the n move the chain's joints, and what else; k = n where no joint follows another.
-        pin_model: The Pinocchio model; its frame `tip_frame` is the tip.
-        tip_frame: Index of the tip's frame.
-        placements: (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world).
-        is_slide: (k,) bool, True where the joint slides along its z axis instead of turning about it.
-        T_last_tip: (4, 4), the tip in the last joint's frame.
-        gravity_support: A second Pinocchio model that carries only what gravity compensation in the MuJoCo model lifts
-            (`gravcomp`), or None where nothing is lifted.
-    """
-
-    joint_map: JointMap
-    pin_model: pin.Model
-    tip_frame: int
+    joint_map: JointMap  # how the n move the chain's joints, and what else; k = n where no joint follows another
+    pin_model: pin.Model  # the Pinocchio model; its frame `tip_frame` is the tip
+    tip_frame: int  # index of the tip's frame
+    # (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world)
     placements: Array
-    is_slide: BoolArray
-    T_last_tip: Array
+    is_slide: BoolArray  # (k,) bool, True where the joint slides along its z axis instead of turning about it
+    T_last_tip: Array  # (4, 4), the tip in the last joint's frame
+    # A second Pinocchio model that carries only what gravity compensation in the MuJoCo model lifts (`gravcomp`), or None where
+    # nothing is lifted
     gravity_support: pin.Model | None
 
     @property
@@ -61,14 +53,7 @@ class PinocchioModel:
         return len(self.placements)
 
     def tip(self, q: Array) -> tuple[Array, Array]:
-        """Where the tip is: (3,) m and (3, 3), in the world; valid until this thread's next call.
-
-        Args:
-            q: (n,) rad.
-
-        Returns:
-            Position and rotation matrix.
-        """
+        """Position (3,) m and rotation (3, 3) of the tip in the world at q (n,); valid until this thread's next call."""
         memory = self._memory
         pin.framesForwardKinematics(self.pin_model, memory.data, q)
         return memory.tip
@@ -83,14 +68,7 @@ class PinocchioModel:
         return _Memory(self.pin_model, self.tip_frame)
 
     def jacobian(self, q: Array) -> Array:
-        """The tip's Jacobian, linear first, world axes.
-
-        Args:
-            q: (n,) rad.
-
-        Returns:
-            (6, n), m/rad and rad/rad.
-        """
+        """The tip's Jacobian (6, n) at q (n,), linear first, world axes."""
         J = pin.computeFrameJacobian(self.pin_model, self._memory.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
         return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
 
@@ -101,16 +79,7 @@ class PinocchioModel:
 def build_pinocchio_model(
     model: mujoco.MjModel, chain_length: int, joint_map: JointMap, qpos: Array, tip_body: int, T_body_tip: Pose
 ) -> PinocchioModel:
-    """The rigid-body model of a chain.
-
-    Args:
-        chain_length: How many of the joints of `joint_map`, its first ones, are in the chain.
-        joint_map: The chain's hinge and slide joints, from the base to the tip, and those outside it that follow one of them.
-        qpos: (nq,) where all other joints are held.
-
-    Returns:
-        The model, its joints in the order given.
-    """
+    """The rigid-body model of a chain: of the joints of `joint_map` the first `chain_length`; `qpos` holds all others."""
     joints = joint_map.joints
     data = mujoco.MjData(model)
     zero = model.qpos0[model.jnt_qposadr[list(joints)]]

@@ -20,7 +20,9 @@ from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import Array, flag, number, shown
 from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
-from armctl.motion import Arc, JointTrajectory, Line, PathOptions, move_c, move_j, move_l, move_path
+from armctl.motion.move_cartesian import Arc, Line, PathOptions, move_c, move_l, move_path
+from armctl.motion.move_j import move_j
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.planning.path import FreeSpace
 from armctl.sim.follow import StreamRun, follow

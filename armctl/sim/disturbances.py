@@ -52,16 +52,16 @@ class Disturbances:
         self._model = model
         self._data = data
         self._train = train
-        self._pushed_dofs = train.actuation.dof_adr[: pushed_arm.n]
+        self._pushed = pushed_arm.n
         is_slide = np.array([unit == "m" for unit in train.actuation.units])
         turn = np.where(is_slide, 1.0, 2 * np.pi)
         self._step = turn / 2**plant.encoder_bits if plant.encoder_bits else None
-        self._late: deque[tuple[Array, Array, Array]] = deque(maxlen=plant.sensor_delay + 1)
+        longest = int(np.ceil((train.sensors.delay + train.sensors.interval).max() / dt))
+        self._late: deque[Array] = deque(maxlen=plant.sensor_delay + longest + 2)
         self._jitter = np.random.default_rng([plant.seed, 1])
         self._commands: deque[Array] = deque(maxlen=plant.delay + plant.jitter + 1)
         self._age = 0
         self._dynamics = _core.Dynamics(pushed_arm)
-        self._dof_adr = train.actuation.dof_adr
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
@@ -85,9 +85,9 @@ class Disturbances:
         train = self._train
         data = self._data
         if train.extra_joints and self._plant.encoder_side == "link":
-            q = train.link_positions(self._model, data.qpos, train.actuation.qpos_adr, self._model.jnt_qposadr)
-            v = train.link_positions(self._model, data.qvel, train.actuation.dof_adr, self._model.jnt_dofadr)
-        elif train.rotors:
+            q = train.link_positions(data.qpos)
+            v = train.link_speeds(data.qvel)
+        elif train.extra_joints:
             q = data.qpos[train.motor_qpos]
             v = data.qvel[train.motor_dof]
         noise = self._noise(1)[0]
@@ -101,9 +101,15 @@ class Disturbances:
             difference = (seen - self.last_position) / self._dt + (noise[1] if self._step is None else 0.0)
             measured_v = np.where(np.isnan(difference), measured_v, difference)
             self.last_position[:] = seen
-        deflection = train.deflection(self._model, data) if train.extra_joints else self.deflection
-        self._late.append((measured_q, measured_v, deflection))
-        measured_q, measured_v, self.deflection = self._late[0]
+        deflection = train.deflection(data) if train.extra_joints else self.deflection
+        self._late.append(np.array([measured_q, measured_v, *deflection]))
+        if self._plant.sensor_delay or train.sensors.is_late:
+            tick = np.array([round(data.time / self._dt)])
+            age = self._plant.sensor_delay + train.sensors.ages(tick, self._dt)[0]
+            read = np.maximum(len(self._late) - 1 - age, 0)
+            joint = np.arange(len(q))
+            measured_q, measured_v, *deflection = np.array(self._late)[read, :, joint].T
+        self.deflection = np.asarray(deflection)
         return measured_q, measured_v
 
     def driven(self, tau: Array, q: Array, v: Array) -> Array:
@@ -114,16 +120,14 @@ class Disturbances:
         Raises:
             InputError: The joint torque is not n numbers.
         """
-        if self._plant.joint_torque is not None:
-            added = vector("joint_torque", self._plant.joint_torque(q, v, float(self._data.time)), len(self._dof_adr))
-            self._data.qfrc_applied[self._dof_adr] = added
-        if self._pushes:
-            self.push[:] = self._wrenches(np.array([self._data.time]))[0]
-            torque = np.zeros(len(self._pushed_dofs))
-            self._dynamics.tip_force(q[: len(torque)].copy(), self.push, torque)
+        if self._pushes or self._plant.joint_torque is not None:
+            torque = np.zeros(len(q))
+            if self._pushes:
+                self.push[:] = self._wrenches(np.array([self._data.time]))[0]
+                self._dynamics.tip_force(q[: self._pushed].copy(), self.push, torque[: self._pushed])
             if self._plant.joint_torque is not None:
-                torque += self._data.qfrc_applied[self._pushed_dofs]
-            self._data.qfrc_applied[self._pushed_dofs] = torque
+                torque += vector("joint_torque", self._plant.joint_torque(q, v, float(self._data.time)), len(q))
+            self._train.push(self._data, torque)
         if self._plant.jitter:
             self._commands.append(tau.copy())
             age = self._plant.delay + int(self._jitter.integers(0, self._plant.jitter + 1))

@@ -22,6 +22,7 @@ from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array, IntArray
 from armctl.mjmodel.dc_motor import TORQUE_COMMAND, current_for, current_state, set_friction, set_time_constant
 from armctl.mjmodel.queries import is_on_joint, joint_name
+from armctl.mjmodel.sensor_timing import SensorTiming, sensor_timing
 from armctl.mjmodel.spring_joints import settle_springs, spring_joints
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
@@ -64,6 +65,9 @@ class Drivetrain:
         rotors: The joints of the rotors that the plant adds.
         springs: The spring joints of elastic joints of the file.
         owners: Which of the n joints each rotor, or else each spring, belongs to.
+        spring_qpos: Addresses of `springs` in `MjData.qpos`.
+        spring_dof: The same in `MjData.qvel`.
+        sensors: When the file's sensors measure the joints.
         motor_qpos: (n,) addresses of the motors in `MjData.qpos`.
         motor_dof: (n,) in `MjData.qvel`.
     """
@@ -72,6 +76,9 @@ class Drivetrain:
     rotors: tuple[int, ...]
     springs: tuple[int, ...]
     owners: IntArray
+    spring_qpos: IntArray
+    spring_dof: IntArray
+    sensors: SensorTiming
     motor_qpos: IntArray
     motor_dof: IntArray
 
@@ -80,26 +87,38 @@ class Drivetrain:
         """The joints of a plant that are none of the arms'."""
         return [*self.rotors, *self.springs]
 
-    def link_positions(self, model: mujoco.MjModel, values: Array, addresses: IntArray, of_joint: IntArray) -> Array:
-        """(n,) positions or speeds of the links, from `qpos` or `qvel` and its addresses: springs of the file add to motors."""
-        result = values[addresses].copy()
+    def link_positions(self, qpos: Array) -> Array:
+        """(..., n) positions of the links from `MjData.qpos`, (..., nq): springs of the file add to motors."""
+        result = qpos.take(self.actuation.qpos_adr, axis=-1)
         if self.springs:
-            result[self.owners] += values[of_joint[list(self.springs)]]
+            result[..., self.owners] += qpos.take(self.spring_qpos, axis=-1)
         return result
 
-    def deflection(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    def link_speeds(self, qvel: Array) -> Array:
+        """(n,) speeds of the links from `MjData.qvel`."""
+        result = qvel[self.actuation.dof_adr]
+        if self.springs:
+            result[self.owners] += qvel[self.spring_dof]
+        return result
+
+    def deflection(self, data: mujoco.MjData) -> Array:
         """(2, n) positions and speeds of the motors minus those of the links."""
         motors = np.array([data.qpos[self.motor_qpos], data.qvel[self.motor_dof]])
-        positions = self.link_positions(model, data.qpos, self.actuation.qpos_adr, model.jnt_qposadr)
-        return motors - [positions, self.link_positions(model, data.qvel, self.actuation.dof_adr, model.jnt_dofadr)]
+        return motors - [self.link_positions(data.qpos), self.link_speeds(data.qvel)]
+
+    def push(self, data: mujoco.MjData, torque: Array) -> None:
+        """Applies torques, (n,) N m, to the links until others replace them."""
+        data.qfrc_applied[self.actuation.dof_adr] = torque
+        data.qfrc_applied[self.spring_dof] = torque[self.owners] if self.springs else 0.0
 
     def settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-        """Puts springs, windings and delayed commands where they are if the motors have held the arm still, in place.
+        """Puts motors, windings and delayed commands where they are if the links have been held still, in place.
 
         Returns:
             (n,) N m, the torque that holds it.
         """
-        settle_springs(model, data, list(self.springs))
+        if self.springs:
+            settle_springs(model, data, list(self.springs), self.motor_qpos[self.owners])
         moving = data.qvel.copy()
         if self.rotors:
             self._settle_rotors(model, data)
@@ -185,6 +204,8 @@ def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrai
     springs = {
         joint: moved[int(model.jnt_qposadr[motor])] for joint, motor in before.items() if int(model.jnt_qposadr[motor]) in moved
     }
+    owners = {joint: moved[int(address)] for joint, address in enumerate(model.jnt_qposadr) if int(address) in moved} | springs
+    motors = {motor: i for i, motor in enumerate(motors_of(model, actuation))}
     motor_qpos = actuation.qpos_adr.copy()
     motor_dof = actuation.dof_adr.copy()
     motor_qpos[has_rotor] = model.nq + rotors
@@ -196,7 +217,10 @@ def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrai
         actuation=actuation,
         rotors=tuple((model.njnt + rotors).tolist()),
         springs=tuple(springs),
+        spring_qpos=model.jnt_qposadr[list(springs)],
+        spring_dof=model.jnt_dofadr[list(springs)],
         owners=np.flatnonzero(has_rotor) if has_rotor.any() else np.array(list(springs.values()), dtype=np.int64),
+        sensors=sensor_timing(model, owners, motors, actuation.n),
         motor_qpos=motor_qpos,
         motor_dof=motor_dof,
     )

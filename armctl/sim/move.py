@@ -21,8 +21,9 @@ from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, shown
-from armctl.ik import solve_ik
-from armctl.motion import JointTrajectory, move_j
+from armctl.ik.solve import solve_ik
+from armctl.motion.move_j import move_j
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import move_free_with
 from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm

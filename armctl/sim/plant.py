@@ -38,7 +38,17 @@ _BRAKED_ARRAYS = (
     "eq_active0",
 )
 # What `apply_plant` changes, besides what MuJoCo derives from it.
-_PLANT_ARRAYS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_damping", "dof_dampingpoly")
+# The places of bodies are those of the arm, whose geometry may be calibrated, and not of the file that it was loaded from.
+_PLANT_ARRAYS = (
+    "body_pos",
+    "body_quat",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "dof_damping",
+    "dof_dampingpoly",
+)
 _PLANT_OPTIONS = ("disableflags", "timestep", "integrator", "tolerance")
 
 
@@ -109,14 +119,15 @@ class Plant:
         stiction: Static friction over dry friction, with "lugre".
         motor: s, the time constant with which torques follow commands: inductance over resistance of a DC motor.
         elasticity: N m/rad, stiffness of a spring between each motor and its link; one number or (n,), 0 for rigid.
-            The motor's inertia is the model's armature, and its friction that of the joint. Logs show the links.
+            The motor's inertia is the model's armature, and its friction that of the joint. Logs show the links, and a run
+            starts with them where its motion does: a law that follows the motors yields first by what the springs carry.
         elastic_damping: Damping ratio of these springs, with the inertias on both sides.
         rotor_inertia: kg m^2 at the joint, of each motor with a spring or a gap; 0 for the model's armature.
         backlash: rad, the gap between each motor and its link; a number for all joints or (n,).
         encoder_side: Where joints are measured if they are elastic: "motor" or "link".
         delay: Ticks by which commands are delayed.
         jitter: Ticks by which commands are late at most besides the delay, at random.
-        sensor_delay: Ticks by which measured positions and velocities are late.
+        sensor_delay: Ticks by which measured positions and velocities are late, besides the delays of the file's sensors.
         encoder_bits: Bits in which an encoder counts a turn of the joint (a metre of a slide joint); 0 for exact positions.
         velocity: "differenced" for the difference of two measured positions over the tick, as in most arms, or "true" for the
             velocity of the simulation.
@@ -319,7 +330,7 @@ class Brake:
 def steps_in_python(plant: Plant, train: Drivetrain) -> bool:
     """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
     late_or_coarse = plant.jitter or plant.sensor_delay or plant.encoder_bits
-    return bool(late_or_coarse or train.rotors or (train.springs and plant.encoder_side == "link"))
+    return bool(late_or_coarse or train.sensors.is_late or train.extra_joints)
 
 
 def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm]) -> None:

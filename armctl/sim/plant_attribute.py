@@ -73,7 +73,7 @@ class PlantAttribute:
             case Kind.NUMBER:
                 return number(name, value, self.low, self.high)
             case Kind.WHOLE_NUMBER:
-                return integer(name, value, self.low, self.high)
+                return self._read_whole(name, value)
             case Kind.PER_JOINT:
                 return _per_joint(name, value, self.low)
             case Kind.POINT:
@@ -83,6 +83,15 @@ class PlantAttribute:
             case Kind.FLAG:
                 instance(name, value, bool, "True or False is one")
         return value
+
+    def _read_whole(self, name: str, value: Any) -> int:
+        try:
+            return integer(name, value, self.low, self.high)
+        except InputError as error:
+            if self.unit != "ticks":
+                raise
+            unit = "the unit is ticks, that is control periods: divide a time in seconds by the control period"
+            raise InputError(f"{error}; {unit}") from None
 
     def differs(self, value: Any) -> bool:
         """Whether a checked value differs from the default."""

@@ -18,6 +18,7 @@ from armctl.mjmodel.queries import body_name, geom_owner_name, is_below
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.robot.core_model import quaternions, tips
+from armctl.sim.drivetrain import Drivetrain
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
 _MAX_KEPT_ROWS = 20_000  # of a reference
@@ -103,8 +104,9 @@ class RunInfo(NamedTuple):
 class Recorder:
     """The rows of a run, one `TickRows` after the other. They stay readable however the run ends."""
 
-    def __init__(self, model: mujoco.MjModel, actuation: Actuation, tips: ReferenceTips):
+    def __init__(self, model: mujoco.MjModel, actuation: Actuation, tips: ReferenceTips, train: Drivetrain | None = None):
         self._model = model
+        self._train = train
         self._actuation = actuation
         self._tips = tips
         self._parts: list[TickRows] = []
@@ -171,7 +173,9 @@ class Recorder:
         for name in REFERENCES:
             rows = [_first(getattr(part.reference, name.removesuffix("_ref")), part.count) for part in parts]
             columns[name] = _joined(rows)
-        columns["q"] = columns["qpos"].take(self._actuation.qpos_adr, axis=1)
+        qpos = columns["qpos"]
+        train = self._train
+        columns["q"] = qpos.take(self._actuation.qpos_adr, axis=1) if train is None else train.link_positions(qpos)
         return columns
 
     def _wrenches(self, columns: slice) -> Array:

@@ -161,7 +161,8 @@ class Stepper:
         self._drives = _index(self.actuation.torque_adr)
         # A slice of MuJoCo's arrays is a view that stays valid; other addresses have to be gathered at every tick.
         is_whole = bool((self.actuation.torque_share == 1.0).all())
-        self._qvel = self.data.qvel[self._dofs] if isinstance(self._dofs, slice) else None
+        is_view = isinstance(self._dofs, slice) and not train.springs
+        self._qvel = self.data.qvel[self._dofs] if is_view else None
         self._motor_torque = self.data.qfrc_actuator[self._drives] if isinstance(self._drives, slice) and is_whole else None
         self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
 
@@ -177,15 +178,15 @@ class Stepper:
 
     def is_still(self, joints: slice) -> bool:
         """Whether some of the joints are at rest."""
-        return bool(np.abs(self.data.qvel[self.actuation.dof_adr[joints]]).max() < AT_REST_SPEED)
+        return bool(np.abs(self._train.link_speeds(self.data.qvel)[joints]).max() < AT_REST_SPEED)
 
     @property
     def state(self) -> State:
         """The true state of all arms now."""
-        q = self.data.qpos[self.actuation.qpos_adr]
-        v = self.data.qvel[self.actuation.dof_adr]
+        q = self._train.link_positions(self.data.qpos)
+        v = self._train.link_speeds(self.data.qvel)
         wrench = self._wrench_sensor.read(self._push)
-        deflection = self._train.deflection(self.model, self.data) if self._is_elastic else np.zeros((2, self.n))
+        deflection = self._train.deflection(self.data) if self._is_elastic else np.zeros((2, self.n))
         return State(q, v, float(self.data.time), self.dt, self.continuous, wrench, deflection)
 
     @property
@@ -255,7 +256,7 @@ class Stepper:
 
     def recorder(self) -> Recorder:
         """A recorder for a run."""
-        return Recorder(self.model, self.actuation, self._reference_tips)
+        return Recorder(self.model, self.actuation, self._reference_tips, self._train)
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
         """The first `ticks` ticks of a trajectory. The last motion is kept on its ticks: many runs follow the same one."""
@@ -380,7 +381,8 @@ class Stepper:
         torque_rows = rows.tau
         # A controller gets read-only views of the recorded rows.
         v_seen_rows = read_only(v_rows)
-        q_seen_rows = read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
+        is_view = isinstance(self._joints, slice) and not self._train.springs
+        q_seen_rows = read_only(qpos_rows[:, self._joints]) if is_view else None
         torque = controller.torque
         sensor = self._wrench_sensor if getattr(controller, "needs_wrench", False) else None
         wrench_rows = None if sensor is None else rows.with_wrench(len(sensor.true))
@@ -394,19 +396,19 @@ class Stepper:
         foresee = getattr(controller, "foresee", None)
         try:
             for row, setpoint in enumerate(zip(*(column[first:last] for column in rows.reference), strict=True), first):
-                v_rows[row] = data.qvel[self._dofs] if qvel is None else qvel
+                v_rows[row] = self._train.link_speeds(data.qvel) if qvel is None else qvel
                 qpos_rows[row] = qpos
                 v = v_seen_rows[row]
                 if not hypot(*v.tolist()) < DIVERGED_SPEED:
                     self._diverge(v)
                     break
-                q = read_only(qpos[self._joints]) if q_seen_rows is None else q_seen_rows[row]
+                q = read_only(self._train.link_positions(qpos)) if q_seen_rows is None else q_seen_rows[row]
                 q_seen, v_seen = (q, v) if disturbances is None else self._measure(q, v)
                 if sensor is not None and wrench_rows is not None:
                     wrench = self._measured_wrench(State(q_seen, v_seen, data.time, dt, continuous))
                     wrench_rows[row] = sensor.true
                 if needs_deflection:
-                    late = self._train.deflection(model, data) if disturbances is None else disturbances.deflection
+                    late = self._train.deflection(data) if disturbances is None else disturbances.deflection
                     deflection = read_only(late)
                 try:
                     if foresee is not None:

@@ -16,7 +16,7 @@ from armctl.core.result import MoveResult
 from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import flag, number, shown
-from armctl.motion import JointTrajectory
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import configurations_for
 from armctl.planning.team import ArmGroup, plan_together
 from armctl.robot.arm import Arm

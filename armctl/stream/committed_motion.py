@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.validation import Array
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.motion.torque_limits import InverseDynamics
-from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE, is_inside
+from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE, each_inside, is_inside
 from armctl.motion.trajectory.piecewise import Pieces, basis, hermite, joined, sample
 from armctl.robot.arm import Arm
 from armctl.stream.timed_targets import Knots
@@ -97,21 +97,28 @@ class CommittedMotion:
         return None
 
     def _motion(self, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
-        """Through all wanted states in time if that is inside the limits, else the fastest motion that rejoins them."""
+        """Through the wanted states in time as far as that is inside the limits; then the fastest motion that rejoins them."""
         if solver is self._solvers[0]:
             for followed in knots.joins:
                 t = np.concatenate([[0.0], knots.t[followed] - now])
                 smooth = hermite(t, *(np.vstack([x, rows[followed]]) for x, rows in zip(start, knots[1:4], strict=True)))
-                if is_inside(smooth, self._limits):
-                    return self._ended([smooth], solver, knots.rest)
-        return self._rejoining(solver, start, now, knots)
+                inside = each_inside(smooth, self._limits)
+                count = len(inside) if inside.all() else int(inside.argmin())
+                if count == len(inside) or (count and followed.stop is None):
+                    kept = Pieces(t[: count + 1], smooth.coefficients[:count])
+                    after = len(knots.t) if followed.stop else followed.start + count
+                    motion = self._rejoining(solver, start, now, knots, [kept], after)
+                    if motion is not None:
+                        return motion
+        return self._rejoining(solver, start, now, knots, [], 0)
 
-    def _rejoining(self, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
-        """Each wanted state that can be reached in time, one after another."""
-        parts: list[Pieces] = []
-        state = start
-        t = now
-        for k in range(len(knots.t)):
+    def _rejoining(
+        self, solver: ProfileSolver, start: JointState, now: float, knots: Knots, parts: list[Pieces], first: int
+    ) -> Pieces | None:
+        """Some parts, then each wanted state from one on that can be reached in time, one after another, and then rest."""
+        state = end_state(parts[-1]) if parts else start
+        t = now + sum(float(part.knots[-1]) for part in parts)
+        for k in range(first, len(knots.t)):
             time = float(knots.t[k]) - t
             if time < _MIN_SEGMENT_S:
                 continue
@@ -123,17 +130,14 @@ class CommittedMotion:
             parts.append(part)
             state = end_state(part)
             t += float(part.knots[-1])
-        return self._ended(parts, solver, knots.rest, start)
+        # The fastest motion to rest, or if that leaves the limits the fastest stop.
+        state = _lists(state)
+        profile = self._profile(solver, state, knots.rest) or self._inside(solver.stop(state))
+        return None if profile is None else joined([*parts, profile.pieces(state)])
 
     @property
     def _zero(self) -> list[float]:
         return [0.0] * len(self._q_min)
-
-    def _ended(self, parts: list[Pieces], solver: ProfileSolver, rest: Array, start: JointState | None = None) -> Pieces | None:
-        """The parts, and then the fastest motion to rest at a place, or if that leaves the limits the fastest stop."""
-        state = _lists(end_state(parts[-1]) if parts else start)
-        profile = self._profile(solver, state, rest) or self._inside(solver.stop(state))
-        return None if profile is None else joined([*parts, profile.pieces(state)])
 
     def _profile(self, solver: ProfileSolver, start: JointState, goal: Array) -> Profile | None:
         """The fastest motion to rest at a place that stays inside the position limits; None if there is none."""

@@ -17,7 +17,8 @@ from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array, flag, instance, integer, matrix, number, shown, vector
-from armctl.ik import DifferentialIk, solve_ik
+from armctl.ik.differential import DifferentialIk
+from armctl.ik.solve import solve_ik
 from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState
 from armctl.motion.trajectory.path_stop import remaining

@@ -37,7 +37,7 @@ class Knots(NamedTuple):
         v: (K, n) rad/s.
         a: (K, n) rad/s^2.
         rest: (n,) rad.
-        joins: Which states, from one index to another, a motion may follow, the best first.
+        joins: Which states a motion may follow, the best first: all of a slice, or of one without an end the first ones.
     """
 
     t: Array
@@ -91,7 +91,7 @@ class TimedTargets:
     def push_chunk(self, t: Array, rows: Array) -> None:
         """Replaces all targets from t[0] on by rows (K, n) at the times t (K,)."""
         if self._chunk is not None:
-            earlier = self._chunk[0] < t[0]
+            earlier = self._chunk[0] < t[0] - 0.5 * _step(t)  # a row just before the first one would make noise a velocity
             t = np.concatenate([self._chunk[0][earlier], t])
             rows = np.concatenate([self._chunk[1][earlier], rows])
         self._chunk = (t, rows)
@@ -166,8 +166,7 @@ class TimedTargets:
         v, a = _parabolas(t, q)
         v[-1] = 0.0  # the source may send nothing more
         a[-1] = 0.0
-        step = float(np.median(np.diff(t))) if len(t) > 1 else _DEFAULT_INTERVAL_S
-        ahead = t > now + 0.5 * min(step, _MAX_INTERVAL_S)  # a row that is nearer could only be met by a jerk
+        ahead = t > now + 0.5 * _step(t)  # a row that is nearer could only be met by a jerk
         first = max(int(ahead.argmax()) - 1, 0) if ahead.any() else len(t)
         self._chunk = (t[first:], q[first:])
         count = int(ahead.sum())
@@ -184,6 +183,11 @@ def _fit(t: Array, q: Array, count: int, degree: int) -> Array:
     coefficients = np.zeros((3, q.shape[1]))
     coefficients[: degree + 1] = np.linalg.lstsq(np.vander(t - t[-1], degree + 1, increasing=True), q, rcond=None)[0]
     return coefficients
+
+
+def _step(t: Array) -> float:
+    """s between two rows of a chunk, at most the longest interval that counts as a motion."""
+    return min(float(np.median(np.diff(t))) if len(t) > 1 else _DEFAULT_INTERVAL_S, _MAX_INTERVAL_S)
 
 
 def _parabolas(t: Array, q: Array) -> tuple[Array, Array]:

@@ -26,7 +26,8 @@ from armctl.core.log import Log
 from armctl.core.validation import Array, number
 from armctl.ik.solve import solve_ik
 from armctl.loading.load import load
-from armctl.motion import JointTrajectory, move_j
+from armctl.motion.move_j import move_j
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm
 from armctl.sim.mujoco_library import release_loading_memory
 from armctl.sim.plant import PLANT_ATTRIBUTES, Plant
@@ -67,21 +68,13 @@ _MODEL_ARRAYS = ("body_", "jnt_", "dof_", "geom_", "tendon_", "eq_", "actuator_"
 
 
 class Run(NamedTuple):
-    """One run as plain data.
+    """One run as plain data."""
 
-    Attributes:
-        key: Identifies the run and the versions it is made with.
-        controller: The label of the controller.
-        point: The values of the factors.
-        repeat: The number of the repetition, from 0.
-        seed: The seed of its noise. It does not depend on the controller.
-    """
-
-    key: str
-    controller: str
-    point: Point
-    repeat: int
-    seed: int
+    key: str  # identifies the run and the versions it is made with
+    controller: str  # the label of the controller
+    point: Point  # the values of the factors
+    repeat: int  # the number of the repetition, from 0
+    seed: int  # the seed of its noise. It does not depend on the controller.
 
 
 Outcome = dict[str, Any]  # "ok", "reason", "completed", the figures, "contacts", "digest"
@@ -114,7 +107,6 @@ class Bench:
         return simulate(self.arm, self.controller(run), self.motion(run.point), self.plant(run), self._dwell)
 
     def outcomes(self, runs: Sequence[Run]) -> list[Outcome]:
-        """Makes runs, one after the other."""
         return [self.outcome(run) for run in runs]
 
     def outcome(self, run: Run) -> Outcome:
@@ -144,7 +136,6 @@ class Bench:
         }
 
     def plant(self, run: Run) -> Plant:
-        """The plant of a run."""
         values: dict[str, Any] = {name: value for name, value in run.point.items() if name in PLANT_FACTORS}
         if "friction" in run.point:
             friction = number("friction", run.point["friction"], 0.0) * self.arm.limits.tau_max
@@ -163,7 +154,6 @@ class Bench:
                 raise InputError(f"{name}: expected 1 or {self.arm.n} numbers for {self.arm.name}, got {given}")
 
     def motion(self, point: Point) -> JointTrajectory:
-        """The motion of a run."""
         which = (point.get("target"), point.get("speed"))
         motion = self._motions.get(which)
         if motion is None:
@@ -270,7 +260,6 @@ def _source_digest() -> str:
 
 
 def _model_digest(arm: Arm) -> str:
-    """Tells models apart."""
     digest = hashlib.blake2b(digest_size=16)
     arrays = [getattr(arm.model, name) for name in sorted(dir(arm.model)) if name.startswith(_MODEL_ARRAYS)]
     for array in (*arrays, *vars(arm.limits).values(), arm.home):

@@ -51,9 +51,6 @@ class Range:
 
         Returns:
             The value, in the unit of the bounds.
-
-        Raises:
-            InputError: The share is outside.
         """
         share = number("share", share, 0.0, 1.0)
         if self.log:

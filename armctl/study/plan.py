@@ -19,7 +19,7 @@ from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.file_reading import read_bytes, reading
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import choice, instance, integer, number, shown
-from armctl.motion import JointTrajectory
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.study.bench import CONTROLLER_FACTOR, OTHER_FACTORS, PLANT_FACTORS, Bench, Run, versions
 from armctl.study.factors import MAX_RUNS, SAMPLINGS, design_points, factor_table, read_factor
 
@@ -228,7 +228,6 @@ def _with_source(spec: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _motion(value: Any) -> dict[str, Any]:
-    """A motion as plain data."""
     if isinstance(value, Mapping) and value.get("kind") == "trajectory":
         return dict(value)
     if isinstance(value, Mapping) and value.get("kind") == "out-and-back":

@@ -129,7 +129,6 @@ def _share_grid(axes: Axes, x: Array, y: Array, succeeded: BoolArray):
 
 
 def _axis(factor: str) -> str:
-    """The label of a factor."""
     name = factor.replace("_", " ")
     return f"{name}, {_UNITS[factor]}" if factor in _UNITS else name
 

@@ -19,8 +19,7 @@ from armctl.core.validation import choice, flag, instance, integer
 from armctl.study import plots
 from armctl.study.bench import FIGURES, Outcome, Run
 from armctl.study.plan import StudyPlan
-from armctl.study.sensitivity import Sensitivity, sobol_indices
-from armctl.study.summary import StudySummary, summarize
+from armctl.study.summary import Sensitivity, StudySummary, sobol_indices, summarize
 
 if TYPE_CHECKING:
     import pandas
@@ -33,15 +32,10 @@ _TEXTS = ("controller", "reason", "digest", "key")
 
 @dataclass(frozen=True, eq=False)
 class WorstRun:
-    """A run that was simulated again.
+    """A run that was simulated again."""
 
-    Attributes:
-        row: Its row in the table.
-        log: Its ticks; None if it cannot be simulated, as the reason in its row says.
-    """
-
-    row: dict[str, Any]
-    log: Log | None
+    row: dict[str, Any]  # its row in the table
+    log: Log | None  # its ticks; None if it cannot be simulated, as the reason in its row says
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +73,6 @@ class StudyResult:
 
     def to_pandas(self) -> pandas.DataFrame:
         """The table as a DataFrame.
-
-        Returns:
-            One row per run.
 
         Raises:
             NotInstalledError: The extra `study` is not installed.
@@ -163,9 +154,6 @@ class StudyResult:
         Args:
             metric: A figure of the table; "ok" is 1 for a success and 0 otherwise.
             controller: The label of the controller; the first one if left out.
-
-        Returns:
-            The indices with intervals of 95 % confidence.
 
         Raises:
             InputError: The study was not sampled with "saltelli", is not finished, or a run has no such figure.

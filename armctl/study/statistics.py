@@ -17,23 +17,16 @@ _SEED = 0  # of the bootstrap: the same runs give the same intervals
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure with its interval of 95 % confidence; infinite where so many runs failed that it has no bound.
+    """A figure with its interval of 95 % confidence; infinite where so many runs failed that it has no bound."""
 
-    Attributes:
-        value: The figure.
-        low: The lower end of the interval.
-        high: The upper end.
-    """
-
-    value: float
-    low: float
-    high: float
+    value: float  # the figure
+    low: float  # the lower end of the interval
+    high: float  # the upper end
 
     def __format__(self, spec: str) -> str:
         return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
 
     def scaled(self, factor: float) -> Estimate:
-        """The same in another unit."""
         return Estimate(factor * self.value, factor * self.low, factor * self.high)
 
     def to_dict(self) -> dict[str, float | None]:

@@ -4,21 +4,93 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 import warnings
-from collections.abc import Sequence
-from concurrent.futures import Executor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from functools import partial
+from math import ceil
+from pathlib import Path
 
 from armctl.core.atomic import file_path
-from armctl.core.errors import ArmctlWarning, InputError
+from armctl.core.errors import ArmctlError, ArmctlWarning, InputError
 from armctl.core.progress import progress_bar
 from armctl.core.validation import flag, instance, shown
-from armctl.study.bench import CONTROLLER_FACTOR, Outcome, Run, make_controller, run_chunk, versions
-from armctl.study.execution import execute, execute_here
+from armctl.study.bench import (
+    CONTROLLER_FACTOR,
+    FIGURES,
+    Bench,
+    Outcome,
+    Run,
+    failed_outcome,
+    make_controller,
+    run_chunk,
+    versions,
+)
 from armctl.study.factors import examples
 from armctl.study.plan import StudyPlan
 from armctl.study.result import StudyResult, study_result
-from armctl.study.store import Store
+
+# A run takes 1 to 20 ms and a task of a cluster costs about 1.5 ms; a chunk is what is lost if its worker dies.
+_MIN_CHUNK = 8
+_MAX_CHUNK = 64
+_CHUNKS_OF_SMALL_STUDY = 64
+_MAX_PENDING = 256  # chunks that are handed out at a time, which bounds the memory of the scheduler
+
+Note = Callable[[Sequence[Run], Sequence[Outcome], bool], None]  # runs, outcomes, and whether they are final
+_BUSY_S = 30.0  # how long to wait for another program that writes the same file
+_KEYS_PER_QUERY = 500
+
+
+def execute_here(bench: Bench, runs: Sequence[Run], note: Note) -> None:
+    """Makes runs on all cores, in threads of this process: the compiled tick loop does not hold Python's lock."""
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    with ThreadPoolExecutor(processors) as threads:
+        execute(bench.outcomes, runs, threads, note)
+
+
+def execute(work: Callable[[Sequence[Run]], list[Outcome]], runs: Sequence[Run], executor: Executor, note: Note) -> None:
+    """Makes runs on an executor; `note` is called in this thread with each chunk that is finished.
+
+    Raises ArmctlError if the workers cannot load the robot, or the executor has stopped. What was finished has been noted.
+    """
+    pending: dict[Future[list[Outcome]], Sequence[Run]] = {}
+    waiting = deque(_chunks(runs))
+    try:
+        while waiting or pending:
+            while waiting and len(pending) < _MAX_PENDING:
+                chunk = waiting.popleft()
+                pending[executor.submit(work, chunk)] = chunk
+            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                chunk = pending.pop(future)
+                error = future.exception()
+                if error is None:
+                    note(chunk, future.result(), True)
+                elif isinstance(error, ArmctlError | BrokenExecutor):
+                    raise error
+                elif len(chunk) > 1:  # one of these runs may end its worker: find out which
+                    waiting.extendleft([run] for run in chunk)
+                else:
+                    note(chunk, [_lost(error)], False)
+    except (BrokenExecutor, CancelledError) as error:
+        why = f"{type(error).__name__}: {error!s:.120}"
+        raise ArmctlError(f"the executor has stopped ({why}); run the study again to make the runs that remain") from None
+    finally:
+        for future, chunk in pending.items():
+            if not future.cancel() and future.done() and not future.cancelled() and future.exception() is None:
+                note(chunk, future.result(), True)
+
+
+def _chunks(runs: Sequence[Run]) -> Iterator[Sequence[Run]]:
+    size = min(max(_MIN_CHUNK, ceil(len(runs) / _CHUNKS_OF_SMALL_STUDY)), _MAX_CHUNK)
+    for first in range(0, len(runs), size):
+        yield runs[first : first + size]
+
+
+def _lost(error: BaseException) -> Outcome:
+    return failed_outcome(f"its worker failed ({type(error).__name__}: {error!s:.200})")
 
 
 class Study(StudyPlan):
@@ -48,9 +120,6 @@ class Study(StudyPlan):
             "saltelli", the points that `StudyResult.sensitivity` needs: (d + 2) samples for d distributions.
         dwell: s to hold the end of the motion.
         tolerance: m, the largest distance at which the tip is at its goal.
-
-    Raises:
-        InputError: An argument has a wrong type or value.
     """
 
     def run(
@@ -137,3 +206,73 @@ class Study(StudyPlan):
                 if name.startswith(CONTROLLER_FACTOR):
                     for label in self.controllers:
                         self.bench.controller(run._replace(controller=label))
+
+
+class Store:
+    """The file of a study. Only the program that runs the study writes; each `add` is one transaction."""
+
+    def __init__(self, path: Path, versions: str):
+        self._path = path
+        self._versions = versions
+        with self._one_sentence():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._db = sqlite3.connect(path, timeout=_BUSY_S)
+            self._db.execute("pragma journal_mode = wal")  # a transaction is one sequential write; readers do not wait
+            self._db.execute("pragma synchronous = normal")
+            self._db.execute(
+                "create table if not exists runs (key text primary key, versions text, run text, outcome text, final integer)"
+            )
+            self._db.commit()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._db.close()
+
+    def add(self, runs: Sequence[Run], outcomes: Iterable[Outcome], *, final: bool = True) -> None:
+        """Adds finished runs. Those that are not final are made again by the next start."""
+        rows = [
+            (run.key, self._versions, json.dumps(run[1:]), json.dumps(outcome), int(final))
+            for run, outcome in zip(runs, outcomes, strict=True)
+        ]
+        with self._one_sentence(), self._db:
+            self._db.executemany("insert or replace into runs values (?, ?, ?, ?, ?)", rows)
+
+    def outcomes(self, runs: Sequence[Run], *, final: bool = False) -> dict[str, Outcome]:
+        """The outcomes of those runs that are finished, by key; with `final`, only of those that are not made again."""
+        found: dict[str, Outcome] = {}
+        condition = " and final" if final else ""
+        with self._one_sentence():
+            for first in range(0, len(runs), _KEYS_PER_QUERY):
+                keys = [run.key for run in runs[first : first + _KEYS_PER_QUERY]]
+                marks = ", ".join("?" * len(keys))
+                query = f"select key, outcome from runs where key in ({marks}){condition}"
+                found.update((key, _outcome(text)) for key, text in self._db.execute(query, keys))
+        return found
+
+    def of_other_versions(self) -> int:
+        """How many runs were made with other versions."""
+        with self._one_sentence():
+            return self._db.execute("select count(*) from runs where versions != ?", [self._versions]).fetchone()[0]
+
+    @contextmanager
+    def _one_sentence(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.OperationalError as error:
+            raise ArmctlError(f"{self._path!s:.160}: cannot be used: {error}") from None
+        except (sqlite3.DatabaseError, ValueError, TypeError, RecursionError) as error:
+            raise InputError(f"{self._path!s:.160}: it is not a file of a study ({error!s:.120})") from None
+        except OSError as error:
+            raise ArmctlError(f"{self._path!s:.160}: cannot be used: {error.strerror or error}") from None
+
+
+def _outcome(text: str) -> Outcome:
+    """An outcome from its JSON; ValueError if it is something else."""
+    outcome = json.loads(text)
+    if not isinstance(outcome, dict) or outcome.keys() != failed_outcome("").keys():
+        raise ValueError("a run has no outcome")
+    if not all(isinstance(outcome[name], float | None) for name in FIGURES):
+        raise ValueError("a figure is not a number")
+    return outcome

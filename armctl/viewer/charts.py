@@ -20,19 +20,18 @@ _MIN_SHOWN_MM = 1e-2  # the scale is logarithmic: smaller errors are drawn at th
 _MAX_SHOWN_MM = 3e3  # leaves room above the last label, 1000
 _SAMPLES_PER_POINT = 4
 _ERROR_CHART_HEIGHT_PX = 150
-_TORQUE_CHART_HEIGHT_PX = 190
+_TORQUE_CHART_HEIGHT_PX = 150
 _BOUND_COLOR = "#555555"
-_TORQUE_RANGE_PERCENT = (-115.0, 115.0)
+_TORQUE_RANGE_PERCENT = (0.0, 115.0)
 
 
 class Charts:
-    """Two charts over time: tip error with its tolerance, torques with their limits."""
+    """Two charts over time: tip error with its tolerance, and the torque nearest to its limit."""
 
     def __init__(self, server: viser.ViserServer, joint_names: tuple[str, ...], samples: Samples):
         """Adds the charts at the end of the page's panel, with what has been sampled so far."""
         self._last_t = samples.t[-1]
         self._joint_names = joint_names
-        joints = [_line(name, COLORS[i % len(COLORS)]) for i, name in enumerate(joint_names)]
         self._error = server.gui.add_uplot(
             _errors(samples),
             (_TIME, _line("to the target", COLORS[2]), _line("to its reference", COLORS[0]), _bound("tolerance")),
@@ -45,8 +44,8 @@ class Charts:
         self._error_legend = server.gui.add_html(_error_legend(samples))
         self._torque = server.gui.add_uplot(
             _torques(samples),
-            (_TIME, *joints, _bound("limit"), _bound("limit")),
-            title="torque, % of each motor's limit",
+            (_TIME, _line("largest", COLORS[1]), _bound("limit")),
+            title="largest torque, % of its motor's limit",
             scales={"x": _SPAN, "y": {"range": _TORQUE_RANGE_PERCENT}},
             legend=_LEGEND,
             height=_TORQUE_CHART_HEIGHT_PX,
@@ -94,7 +93,7 @@ def _error_legend(samples: Samples) -> str:
 
 def _torque_legend(samples: Samples, joint_names: tuple[str, ...]) -> str:
     shares = np.nan_to_num(100 * samples.torque_share[-1])
-    return _legend([(COLORS[i % len(COLORS)], name, f"{shares[i]:.0f} %") for i, name in enumerate(joint_names)])
+    return _legend([(_BOUND_COLOR, name, f"{shares[i]:.0f} %") for i, name in enumerate(joint_names)])
 
 
 def _millimeters(value: float) -> str:
@@ -122,8 +121,7 @@ def _errors(samples: Samples) -> tuple[Array, ...]:
 def _torques(samples: Samples) -> tuple[Array, ...]:
     rows = _shown_rows(samples)
     age = samples.t[rows] - samples.t[-1]
-    bound = np.full_like(age, 100.0)
-    return age, *np.ascontiguousarray(100 * samples.torque_share[rows].T), bound, -bound
+    return age, 100 * np.abs(samples.torque_share[rows]).max(axis=1), np.full_like(age, 100.0)
 
 
 def _shown_rows(samples: Samples) -> np.ndarray:

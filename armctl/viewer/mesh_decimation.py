@@ -15,14 +15,14 @@ _HIDDEN_SITE_GROUP = 5
 _CELL_KEY_WEIGHTS = np.array([1 << 42, 1 << 21, 1])  # makes one integer of three cell indices below 2^21
 
 
-def decimated(model: mujoco.MjModel, cell: float = FINE_CELL) -> mujoco.MjModel:
-    """A copy for drawing: meshes simplified, without collision shapes, sites and convex hulls.
+def decimated(model: mujoco.MjModel, cell: float = FINE_CELL, hidden_body: int = -1) -> mujoco.MjModel:
+    """A copy for drawing: meshes simplified, without collision shapes, sites, convex hulls and the geoms of one body.
 
     Meshes are simplified by clustering their vertices on a grid (Rossignac and Borrel, 1993), whose cells are `cell` times the
     model's extent.
     """
     model = copy.copy(model)
-    hidden = model.geom_group > _MAX_DRAWN_GROUP
+    hidden = (model.geom_group > _MAX_DRAWN_GROUP) | (model.geom_bodyid == hidden_body)
     model.geom_rgba[hidden, 3] = 0.0
     model.site_group[:] = _HIDDEN_SITE_GROUP
     model.mesh_polynum[:] = 0

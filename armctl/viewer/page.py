@@ -19,6 +19,7 @@ from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.latest_worker import LatestWorker
 from armctl.robot.arm import Arm
 from armctl.sim.realtime.session import RealTimeSession
+from armctl.viewer.demonstration import Demonstration
 from armctl.viewer.panel import Panel
 from armctl.viewer.scene_controls import SceneControls
 from armctl.viewer.web_scene import DRAW_INTERVAL_S, PORT, WebScene
@@ -61,7 +62,7 @@ class Page:
         self._notice = ""
         self._loaded: queue.SimpleQueue[list[RealTimeSession]] = queue.SimpleQueue()
         self._loader = LatestWorker("armctl scene")
-        scene.set(arms[0], arms[1:])
+        scene.set(arms[0], arms[1:], with_marker=False)  # the handles have a marker of their own
         if len(self._scenes) > 1:
             self._add_choice()
         self._scenes_shown = 0
@@ -85,8 +86,13 @@ class Page:
         """Whether a client drags the target."""
         return self._controls.shown.target.is_held
 
-    def serve(self) -> None:
-        """Keeps the page up to date until `close`. The arm moves shortly after the first client has connected."""
+    def serve(self, *, demonstrated: bool = False) -> None:
+        """Keeps the page up to date until `close`. The arm moves shortly after the first client has connected.
+
+        Args:
+            demonstrated: Whether the target then moves by itself until somebody touches it.
+        """
+        demonstration = Demonstration(self.session) if demonstrated else None
         self._controls.start()
         self._starter.start()
         text_written_at = -np.inf
@@ -94,6 +100,8 @@ class Page:
             try:
                 if not self._loaded.empty():
                     self._replace(self._loaded.get())
+                if demonstration is not None:
+                    demonstration.advance(time.monotonic())
                 self._controls.shown.draw()
                 if time.monotonic() - text_written_at > _TEXT_INTERVAL_S:
                     text_written_at = time.monotonic()
@@ -156,7 +164,7 @@ class Page:
         before = self._controls
         self._controls = self._add_controls(sessions)
         before.remove()
-        self.scene.set(sessions[0].arm, [session.arm for session in sessions[1:]])
+        self.scene.set(sessions[0].arm, [session.arm for session in sessions[1:]], with_marker=False)
         self._controls.start()
         self.session.stand_by(False)
 
@@ -213,5 +221,5 @@ def view(
             print(f"{arms[0].name} is at {scene.url}; Ctrl-C ends it", flush=True)
             page = Page(arms, scene, controller, scenes)
             stack.callback(page.close)
-            page.serve()
+            page.serve(demonstrated=True)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not interrupt the closing

@@ -17,7 +17,7 @@ from armctl.viewer.comparison_panel import ComparisonPanel
 from armctl.viewer.contact_arrows import ContactArrows
 from armctl.viewer.picture_panel import PicturePanel
 from armctl.viewer.reachability_panel import ReachabilityPanel
-from armctl.viewer.status_text import describe, describe_contacts, describe_load
+from armctl.viewer.status_text import describe, describe_contacts, readings
 from armctl.viewer.target_controls import TargetControls
 
 if TYPE_CHECKING:
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 MAX_PAYLOAD_KG = 5.0
 _HINT = "*Drag an arrow, a plane or an arc of the green target; the arm follows.*"
 _HOME = "home"
+_PLAY = "play"
+_PAUSE = "pause"
+_RESET = "reset"
 _MIN_OVERRIDE_PERCENT = 5.0
 _MIN_SPEED = 0.05
 _MAX_SPEED = 2.0
@@ -57,6 +60,7 @@ class Panel:
         self._joint_command: Array | None = None
         self._payload_worker = LatestWorker("armctl payload")  # a new payload compiles a model
         self._contact_arrows = ContactArrows(server.scene, root)
+        self._readings = server.gui.add_html("")
         self._add_clock()
         self._add_plant()
         self._add_motion()
@@ -74,10 +78,9 @@ class Panel:
         status = self._session.status
         samples = self._session.history.read()
         factor = status.real_time_factor * status.speed
-        load = f"{describe_load(samples, self._session.arm.joint_names)}; real time x {factor:.2f}"
-        contacts = describe_contacts(status)
-        lines = [notice, f"**{describe(status)}**", load, contacts, _HINT]
+        lines = [notice, f"**{describe(status)}**", describe_contacts(status), _HINT]
         self._text.content = "\n\n".join(line for line in lines if line)
+        self._readings.content = readings(samples, self._session.arm.joint_names, factor)
         self._contact_arrows.show(status.contacts)
         self._charts.update(samples)
         # On viser's event loop: written by this thread, a value could replace one that a client has just sent, before the
@@ -122,21 +125,19 @@ class Panel:
 
     def _add_clock(self) -> None:
         session = self._session
-        pause = self._gui.add_checkbox("pause", False)
         keyframe = None
         others = tuple(name for name in session.keyframes if name != _HOME)
         if others:
             keyframe = self._gui.add_dropdown("reset to", (_HOME, *others), initial_value=_HOME, hint="a keyframe of the scene")
-        reset = self._gui.add_button("reset")
+        time_buttons = self._gui.add_button_group("time", (_PLAY, _PAUSE, _RESET))
 
-        async def set_pause(event: viser.GuiEvent) -> None:
-            session.pause(pause.value)
+        async def change_time(event: viser.GuiEvent) -> None:
+            if time_buttons.value == _RESET:
+                session.reset("" if keyframe is None or keyframe.value == _HOME else keyframe.value)
+            else:
+                session.pause(time_buttons.value == _PAUSE)
 
-        async def do_reset(event: viser.GuiEvent) -> None:
-            session.reset("" if keyframe is None or keyframe.value == _HOME else keyframe.value)
-
-        pause.on_update(set_pause)
-        reset.on_click(do_reset)
+        time_buttons.on_click(change_time)
 
     def _add_motion(self) -> None:
         session = self._session

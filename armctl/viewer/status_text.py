@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
 
 import numpy as np
@@ -39,13 +40,18 @@ def describe(status: Status) -> str:
             return f"{how}, {error_mm:.0f} mm to go{reach}"
 
 
-def describe_load(samples: Samples, joint_names: Sequence[str]) -> str:
-    """The last tip error relative to the reference, and the motor nearest to its limit."""
+def readings(samples: Samples, joint_names: Sequence[str], real_time_factor: float) -> str:
+    """Three numbers side by side, as HTML: the tip's distance from its reference, the motor nearest to its limit, the clock."""
     shares = np.abs(samples.torque_share[-1])
     busiest = int(np.argmax(shares))
     error_mm = max(1e3 * samples.to_reference[-1], _MIN_SHOWN_MM)
-    torque = f"largest torque {100 * shares[busiest]:.0f} % of its limit ({joint_names[busiest]})"
-    return f"{error_mm:.2g} mm from the reference; {torque}"
+    cells = (
+        (f"{error_mm:.2g} mm", "from the reference"),
+        (f"{100 * shares[busiest]:.0f} %", f"of the torque limit, {html.escape(joint_names[busiest])}"),
+        (f"{real_time_factor:.2f}", "times real time"),
+    )
+    columns = "".join(f'<div style="flex: 1"><b style="font-size: 1.3em">{value}</b><br>{what}</div>' for value, what in cells)
+    return f'<div style="display: flex; padding: 0 0.8em; font-size: 0.85em; line-height: 1.4">{columns}</div>'
 
 
 def describe_contacts(status: Status) -> str:

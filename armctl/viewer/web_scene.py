@@ -37,8 +37,8 @@ _FIELD_OF_VIEW_DEG = 45.0  # vertical
 _DISTANCE_FACTOR = 1.15
 _PORTRAIT_ASPECT = 0.8  # width over height: in a narrower picture the arm is drawn smaller, and above the panel
 _PANEL_SHARE = 0.45  # of the height of a narrow page
-_SKY_TOP_RGB = (72.0, 93.0, 115.0)
-_SKY_BOTTOM_RGB = (172.0, 186.0, 199.0)
+_SKY_TOP_RGB = (128.0, 145.0, 162.0)
+_SKY_BOTTOM_RGB = (176.0, 188.0, 200.0)
 _SKY_HEIGHT_PX = 256
 _SKY_WIDTH_PX = 16
 _MAX_PORT = 65535
@@ -84,6 +84,7 @@ class WebScene:
 
     Attributes:
         server: viser's server, for more controls on the page.
+        devices: What the visitors' keyboards, gamepads and SpaceMice ask for.
     """
 
     def __init__(
@@ -126,6 +127,7 @@ class WebScene:
         self.url = self._root + self._access.query()
         self._page_server = page_server.start_server(listener, self._access, title)
         self.server = self._page_server.viser
+        self.devices = self._page_server.devices
         atexit.register(self.close)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.gui.main_panel.dock_right()
@@ -149,15 +151,20 @@ class WebScene:
         screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         return bool(screen) and webbrowser.open(self._root + self._access.one_time_query())
 
-    def set(self, arm: Arm, others: Sequence[Arm] = ()) -> None:
+    def set(self, arm: Arm, others: Sequence[Arm] = (), *, with_marker: bool = True) -> None:
         """Puts an arm on the page, at home, in place of the one that is there; the first view shows the others, too.
+
+        Args:
+            with_marker: Whether the model's own target marker is drawn.
 
         Raises:
             NotInstalledError: mjviser is missing.
         """
         import mjviser
 
-        coarse = decimated(arm.model, COARSE_CELL)
+        target = find_target(arm.model)
+        self._hidden_body = -1 if with_marker or target is None else target
+        coarse = decimated(arm.model, COARSE_CELL, self._hidden_body)
         with self._drawing_lock:
             self._not_refined: mujoco.MjModel | None = arm.model
             self._model = coarse
@@ -222,7 +229,7 @@ class WebScene:
     def _refine(self) -> None:
         """Replaces the coarse meshes of an arm by fine ones, once."""
         if self._not_refined is not None:
-            self._model = decimated(self._not_refined)
+            self._model = decimated(self._not_refined, hidden_body=self._hidden_body)
             self._not_refined = None
             self._scene.mj_model = self._model
             self._scene.rebuild_visual_handles()

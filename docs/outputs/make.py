@@ -1,5 +1,6 @@
 """Writes the outputs of the commands and examples in the pages again: `make outputs`."""
 
+import argparse
 import re
 import subprocess
 import sys
@@ -8,17 +9,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
-COMPARE = (
-    "compare",
-    "panda",
-    "--controllers",
-    "pd,pd-feedforward,computed-torque,computed-torque-observer",
-    "--plants",
-    "nominal,payload=1",
-    "--delay-margin",
-    "0.005",
-)
-TABLE = re.compile(rf"(?<=<!-- armctl {re.escape(' '.join(COMPARE))} -->\n).*?(?=<!-- end -->)", re.DOTALL)
+TABLE = re.compile(r"(<!-- armctl (compare .*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 REACHED = re.compile(r"reached within .*")
 
 
@@ -53,26 +44,37 @@ def printed_with_franky_sim(example: Path, address: str = "127.0.0.5") -> str:
             process.kill()
 
 
-def compared() -> str:
-    """The table of the comparison in README.md, in Markdown; the command prints it for terminals of 80 columns."""
+def compared(table: re.Match[str]) -> str:
+    """A table of a comparison, in Markdown, of the command above it; the command prints it for terminals of 80 columns."""
     with tempfile.TemporaryDirectory() as folder:
-        printed("-m", "armctl", *COMPARE, "--report", folder)
+        printed("-m", "armctl", *table[2].split(), "--report", folder)
         page = (Path(folder) / "comparison.md").read_text(encoding="utf-8")
-    return "\n".join(line for line in page.splitlines() if line.startswith("|"))
+    return f"{table[1]}\n{''.join(line for line in page.splitlines(keepends=True) if line.startswith('|'))}\n{table[3]}"
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="an example, franky_sim, info or README; all of them if none is named"
+    )
+    names = parser.parse_args().names
+
     for example in sorted((ROOT / "examples").glob("*.py")):
+        if names and example.stem not in names:
+            continue
         try:
             (HERE / f"{example.stem}.txt").write_text(printed(example), encoding="utf-8")
         except ModuleNotFoundError as error:
             print(f"{example.stem}: the old output stays: {error}", file=sys.stderr)
-    try:
-        output = printed_with_franky_sim(ROOT / "examples" / "64_the_same_program_on_a_robot.py")
-        (HERE / "franky_sim.txt").write_text(output, encoding="utf-8")
-    except ModuleNotFoundError as error:
-        print(f"franky_sim: the old output stays: {error}", file=sys.stderr)
-    (HERE / "info.txt").write_text(printed("-m", "armctl", "info", "robot_arm_3dof"), encoding="utf-8")
-    readme, panda = ROOT / "README.md", (HERE / "05_menagerie_panda.txt").read_text(encoding="utf-8")
-    text = TABLE.sub(f"\n{compared()}\n\n", readme.read_text(encoding="utf-8"))
-    readme.write_text(REACHED.sub(REACHED.findall(panda)[0], text), encoding="utf-8")
+    if not names or "franky_sim" in names:
+        try:
+            output = printed_with_franky_sim(ROOT / "examples" / "64_the_same_program_on_a_robot.py")
+            (HERE / "franky_sim.txt").write_text(output, encoding="utf-8")
+        except ModuleNotFoundError as error:
+            print(f"franky_sim: the old output stays: {error}", file=sys.stderr)
+    if not names or "info" in names:
+        (HERE / "info.txt").write_text(printed("-m", "armctl", "info", "robot_arm_3dof"), encoding="utf-8")
+    if not names or "README" in names:
+        readme, panda = ROOT / "README.md", (HERE / "05_menagerie_panda.txt").read_text(encoding="utf-8")
+        text = TABLE.sub(compared, readme.read_text(encoding="utf-8"))
+        readme.write_text(REACHED.sub(REACHED.findall(panda)[0], text), encoding="utf-8")

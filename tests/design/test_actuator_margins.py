@@ -10,10 +10,16 @@ import armctl
 JOINT = 'armature="0.05" damping="0.5"'
 DC = '<dcmotor name="m_{0}" joint="{0}" nominal="24 0.5 300" gear="50" {1}/>'
 LATE = '<motor name="m_{0}" joint="{0}" ctrlrange="-20 20" delay="{1}" nsample="6"/>'
+SENSORS = '<sensor><jointpos joint="a" nsample="9" {}/><actuatorvel actuator="m_b" nsample="9" {}/></sensor>'
 FILES = {
     "one late actuator": (limb("a b", joint=JOINT), motors("a b", b=LATE.format("b", 0.004))),
     "two delays": (limb("a b", joint=JOINT), motors("a b", a=LATE.format("a", 0.0025), b=LATE.format("b", 0.004))),
     "inductance": (limb("a b", joint=JOINT), motors("a b", a=DC.format("a", 'inductance="0 0.004"'), b=DC.format("b", ""))),
+    "late sensors": (limb("a b", joint=JOINT), motors("a b") + SENSORS.format('delay="0.0025"', 'delay="0.004"')),
+    "sensors at intervals": (
+        limb("a b", joint=JOINT),
+        motors("a b") + SENSORS.format('interval="0.0035 -0.001"', 'interval="0.003" delay="0.001"'),
+    ),
     "elastic joints": (rotor_spring_link("a b", 400.0), motors("a b")),
     "soft joints": (rotor_spring_link("a b", 40.0, 0.05), motors("a b")),
 }

@@ -11,7 +11,7 @@ from synthetic import limb, motors
 import armctl
 from armctl.collision.checkers import collision_checker
 from armctl.design.payload import _Filter
-from armctl.motion import check_torque
+from armctl.motion.torque_limits import check_torque
 
 ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14", "so_arm100", "gantry")
 CENTER = np.array([0.02, 0.01, 0.05])

@@ -1,15 +1,21 @@
 """The linear loop of an arm and any controller predicts its margins and its frequency response."""
 
 import math
+import re
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import arm_of
 from instability import grows
 from synthetic import BENT, SHAPES, serial_arm
 
 import armctl
+from armctl.analysis.describe import facts
 from armctl.control import CONTROLLERS, controller_by_name
+from armctl.control.gains import MAX_PEAK_SENSITIVITY, sample_configurations
+from armctl.control.margin_exceptions import _pd_peak_sensitivity
 from armctl.control.observer_gains import PAYLOAD_LEVER_M, max_unknown_payload
 from armctl.design.linearization import Linearizer
 
@@ -193,6 +199,16 @@ def test_default_gains_have_their_margins_at_configurations_that_nobody_designed
         assert max(each.peak_sensitivity.max() for each in found) <= 1.7
 
 
+@pytest.mark.parametrize("shape", [SHAPES["damped"], BENT["planar"]], ids=["damped", "planar"])
+def test_the_sensitivity_that_info_declares_is_that_of_the_loops(shape, tmp_path):
+    arm = serial_arm(tmp_path, replace(shape, joints=3))
+    linearizer = Linearizer(arm, armctl.Plant(timestep=0.004))
+    laws = armctl.PD(arm), armctl.PDGravity(arm)
+    loops = [linearizer.loop_at(law, q).coarse_margins() for law in laws for q in sample_configurations(arm)]
+    largest = max(each.peak_sensitivity.max() for each in loops)
+    assert _pd_peak_sensitivity(arm, 0.004) == pytest.approx(largest, rel=0.01)
+
+
 @pytest.mark.parametrize("make", [armctl.PD, armctl.ComputedTorqueObserver])
 def test_gains_for_a_larger_delay_margin_have_it(arm, make):
     worst = armctl.margins(arm, make(arm, delay_margin=0.012), 3, [armctl.Plant(timestep=0.001)])
@@ -328,3 +344,21 @@ def test_a_controller_without_a_linear_model_is_refused(arm):
 def test_a_wrong_call_is_an_input_error(arm, call):
     with pytest.raises(armctl.InputError):
         call(arm)
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.004])
+@pytest.mark.parametrize("name", ["planar", "rubbing", "six joints", "robot_arm_3dof"])
+def test_an_arm_names_the_default_gains_whose_loops_are_too_sensitive(name: str, dt: float):
+    arm = arm_of(name)
+    sentences = facts(arm)["margin_exceptions"]
+    linearizer = Linearizer(arm, armctl.Plant(timestep=dt))
+    for law in ("pd", "pd-gravity", "impedance"):
+        controller = controller_by_name(law, arm)
+        loops = [linearizer.loop_at(controller, q) for q in arm.limits.random(arm.home, 30, np.random.default_rng(3))]
+        peak = max(loop.coarse_margins().peak_sensitivity.max() for loop in loops)
+        named = [sentence for sentence in sentences if law in re.split(r", | and |: | at ", sentence)]
+        periods = [re.findall(r"[\d.]+", sentence.partition(" ms:")[0]) for sentence in named]
+        is_named = any(law == "impedance" or f"{1e3 * dt:g}" in row for row in periods)
+        assert is_named == (peak > MAX_PEAK_SENSITIVITY)
+        if is_named and law != "impedance":
+            assert float(re.findall(r"sensitivity ([\d.]+)", named[0])[0]) == pytest.approx(peak, rel=0.2)

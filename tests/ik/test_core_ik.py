@@ -76,20 +76,6 @@ def test_the_curvature_of_a_point_is_the_derivative_of_its_gradient():
         assert np.abs(H - np.array(columns)).max() < 1e-8
 
 
-def test_a_null_step_moves_joints_inside_their_bounds_and_not_the_tip():
-    arm = arm_of("panda")
-    model = _core.IkErrorModel(ik_chain(arm).core)
-    J = np.empty((6, arm.n))
-    step = np.empty(arm.n)
-    for q in configurations(arm, 5):
-        model.linearize(numbers_of(arm, q), Constraint.POSE, 0.0, q, np.empty((arm.n, arm.n)), np.empty(arm.n), J)
-        bound = np.full(arm.n, 0.2)
-        model.null_step(Constraint.POSE, arm.home - q, -bound, bound, step)
-        assert np.abs(step).max() > 1e-3
-        assert np.abs(step).max() <= 0.2 + 1e-12
-        assert np.abs(J @ step).max() < 1e-6
-
-
 def test_arrays_of_wrong_lengths_are_refused_by_name():
     arm = arm_of("ur5e")
     core = ik_chain(arm).core

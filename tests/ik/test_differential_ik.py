@@ -9,13 +9,16 @@ import mink
 import mujoco
 import numpy as np
 import pytest
+import scipy.linalg
+import scipy.optimize
+from armctl.ik.quadratic_program import QuadraticProgram
 from arms import ARMS, arm_of
 from collidable import arm_among, capsule_gaps, placed
 
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose
 from armctl.collision.checkers import collision_checker
-from armctl.ik.tasks import ClearanceLimit
+from armctl.ik.tasks import ClearanceLimit, null_step
 from armctl.loading.catalog import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)
@@ -108,17 +111,24 @@ def test_a_target_out_of_reach_ends_still_at_the_nearest_reach(name: str):
         assert distance <= best + 0.25 * (np.linalg.norm(point))
 
 
-def test_the_null_space_goes_to_the_posture_and_the_tip_stays():
-    arm = arm_of("gen3")
-    start = np.array([0.4, 0.5, 2.8, -1.8, 0.5, 0.9, 1.2])
-    target = arm.fk(start)
-    q, v = follow(DifferentialIk(arm), start, target, 1000)
-    assert arm.fk(q).distance(target) == pytest.approx((0.0, 0.0), abs=1e-8)
-    assert np.linalg.norm(q - arm.home) < np.linalg.norm(start - arm.home) - 0.05
-    _, _, V = np.linalg.svd(arm.jacobian(q))
-    assert abs(V[-1] @ (q - arm.home)) < 1e-3
-    assert np.abs(v).max() < 1e-3
-    assert np.abs(follow(DifferentialIk(arm, posture_gain=0.0), start, target, 50)[0] - start).max() < 1e-9
+@pytest.mark.parametrize("constraint", ["pose", "position"])
+def test_the_null_space_goes_to_the_posture_at_its_gain_and_the_tip_stays(constraint: str):
+    arm = arm_of("redundant")
+    start = arm.home
+    target = arm.fk(start) if constraint == "pose" else arm.fk(start).position
+    rows = 6 if constraint == "pose" else 3
+    rng = np.random.default_rng(4)
+    for gain in (0.5, 4.0):
+        posture = start + rng.uniform(-0.05, 0.05, arm.n)
+        ik = DifferentialIk(arm, posture=posture, posture_gain=gain)
+        free = scipy.linalg.null_space(arm.jacobian(start)[:rows])
+        assert ik.step(start, target, DT) == pytest.approx(gain * free @ (free.T @ (posture - start)), abs=1e-4)
+        q, v = follow(ik, start, target, 1500)
+        assert np.linalg.norm(arm.fk(q).position - arm.fk(start).position) < 1e-7
+        free = scipy.linalg.null_space(arm.jacobian(q)[:rows])
+        assert np.abs(free.T @ (q - posture)).max() < 1e-3
+        assert np.abs(v).max() < 1e-3
+    assert np.abs(follow(DifferentialIk(arm, posture=posture, posture_gain=0.0), start, target, 50)[0] - start).max() < 1e-9
 
 
 def test_damping_rises_near_a_singularity():
@@ -300,3 +310,41 @@ def test_a_step_that_ends_too_near_is_shortened_to_half_the_clearance(tmp_path):
         cut = limit.violations(np.array([0.1]), np.array([step]))
         assert cut.h / cut.G[:, 0] == pytest.approx([0.26 - 0.05 - 0.1], abs=1e-6)
     assert limit.violations(np.array([0.1]), np.array([0.1])).inactive
+
+
+@pytest.mark.parametrize(("rows", "blocked"), [(6, []), (3, [2])])
+def test_a_null_step_moves_joints_inside_their_bounds_and_not_the_tip(rows: int, blocked: list[int]):
+    arm = arm_of("redundant")
+    high = np.full(arm.n, 0.2)
+    high[blocked] = 0.0
+    for q in arm.limits.random(arm.home, 5, np.random.default_rng(0)):
+        J = arm.jacobian(q)[:rows]
+        step = null_step(J, arm.home - q, -high, high)
+        assert np.abs(step).max() > 1e-3
+        assert (np.abs(step) <= high + 1e-12).all()
+        assert np.abs(J @ step).max() < 1e-6
+
+
+@pytest.mark.parametrize("solver", ["daqp", "osqp"])
+def test_rows_that_are_added_to_a_program_are_kept_beside_its_own(solver: str):
+    """The least distance from a point to a polyhedron, by SciPy."""
+    rng = np.random.default_rng(6)
+    bounds = np.full(4, 2.0)
+    for _ in range(5):
+        G = rng.normal(size=(3, 4))
+        h = rng.uniform(0.1, 0.5, 3)
+        goal = rng.normal(size=4)
+        program = QuadraticProgram(np.eye(4), -goal, None, None, None, None, -bounds, bounds)
+        for k in (0, 1, 2):
+            program = program.with_inequalities(G[[k]], h[[k]])
+        nearest = scipy.optimize.minimize(
+            lambda x, goal=goal: 0.5 * np.sum((x - goal) ** 2),
+            np.zeros(4),
+            jac=lambda x, goal=goal: x - goal,
+            bounds=[(-2.0, 2.0)] * 4,
+            constraints=[scipy.optimize.LinearConstraint(G, -np.inf, h)],
+            options={"ftol": 1e-14},
+        )
+        assert program.solve(solver) == pytest.approx(nearest.x, abs=1e-5)
+        assert program.allows_zero()
+        assert not program.with_inequalities(G[[0]], np.array([-0.1])).allows_zero()

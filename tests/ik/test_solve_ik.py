@@ -24,7 +24,8 @@ from armctl import Arm, InputError, LimitError, Pose, solve_ik
 from armctl._core import Constraint
 from armctl.collision.checkers import collision_checker
 from armctl.core.target import Target
-from armctl.ik import lm, solve_ik_batch
+from armctl.ik import lm
+from armctl.ik.batch import solve_ik_batch
 from armctl.ik.problem import ik_chain, read_problem
 
 every_arm = pytest.mark.parametrize("name", ARMS)

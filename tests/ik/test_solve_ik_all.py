@@ -12,7 +12,7 @@ import pytest
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, solve_ik, solve_ik_all
 from armctl.collision.checkers import collision_checker
-from armctl.ik import solve_ik_batch
+from armctl.ik.batch import solve_ik_batch
 from armctl.ik.problem import ik_chain
 
 LINK = """<body pos="{x:g} {y:g} {z:g}"><joint name="j{i}" axis="{axis}" range="{range}"/>

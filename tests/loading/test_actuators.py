@@ -12,6 +12,7 @@ from synthetic import FAST, limb, mjcf, motors, rotor_spring_link
 
 import armctl
 from armctl.loading.actuators import ATTRIBUTES, JOINT_ATTRIBUTES, SENSOR_ATTRIBUTES
+from armctl.mjmodel.sensor_timing import sensor_timing
 
 JOINT = 'armature="0.05" damping="0.5"'
 DC = '<dcmotor name="m_b" joint="b" nominal="24 1.5 300" gear="50" {}/>'
@@ -173,8 +174,36 @@ def test_a_spring_that_yields_is_named(load):
 
 def test_a_late_sensor_of_a_joint_is_named(load):
     sensors = '<sensor><jointpos name="encoder" joint="a" delay="0.002" nsample="2"/><jointpos joint="b"/></sensor>'
-    with pytest.warns(armctl.ArmctlWarning, match="the sensors encoder are late"):
+    with pytest.warns(armctl.ArmctlWarning, match=r"the sensors of joints are late \(a 2 ms\)"):
         load(limb("a b", joint=JOINT), FAST + motors("a b") + sensors)
+
+
+@pytest.mark.parametrize("sensor", [
+    'delay="0.0042"',
+    'interval="0.0035 -0.0012"',
+    'interval="0.006" delay="0.0015"',
+    'interval="0.0004"',
+])  # fmt: skip
+def test_measurements_are_as_old_as_those_of_mujocos_own_sensor(sensor):
+    text = mjcf(limb("a"), FAST + f'<sensor><jointpos joint="a" nsample="30" {sensor}/></sensor>')
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    ticks = np.arange(100)
+    ages = sensor_timing(model, {0: 0}, {}, 1).ages(ticks, 0.001)[:, 0]
+    positions = np.empty(100)
+    for tick in ticks:
+        positions[tick] = data.qpos[0]
+        mujoco.mj_step1(model, data)
+        if tick > 20:
+            assert data.sensordata[0] == pytest.approx(positions[tick - ages[tick]], abs=1e-15)
+        mujoco.mj_step2(model, data)
+
+
+def test_many_late_joints_are_counted_and_no_phrase_is_cut(load):
+    names = " ".join(f"j{i}" for i in range(18))
+    late = {name: f'<motor joint="{name}" ctrlrange="-9 9" delay="0.004" nsample="4"/>' for name in names.split()}
+    with pytest.warns(armctl.ArmctlWarning, match=r"j15 4 ms; and 2 more\); simulations"):
+        load(limb(names), FAST + motors(names, **late))
 
 
 def test_an_elastic_joint_continues_the_arm(load):

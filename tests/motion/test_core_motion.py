@@ -109,9 +109,6 @@ def test_arrays_of_wrong_shapes_are_refused_by_name():
         fastest(slow_motion(), a_bound=np.ones((12, 6)))
     with pytest.raises(armctl.InputError, match="q: this argument is missing"):
         _core.make_fastest(slow_motion(), v_max=np.ones(7))
-    one = np.ones((1, 1))
-    with pytest.raises(armctl.InputError, match="coefficients: need polynomials of a degree from 3 to 15"):
-        limit_excess(np.ones((1, 3, 1)), np.ones(1), 3, -one, one)
 
 
 def test_a_point_outside_the_intervals_is_refused():

@@ -20,7 +20,7 @@ import pytest
 
 import armctl
 from armctl.analysis.comparison_html import write_comparison
-from armctl.render.gl import gl_context
+from armctl.render.renderer import gl_context
 
 KILLS = 4
 LONGEST_DELAY_S = 0.5

@@ -25,8 +25,9 @@ ERRORS = {**vars(errors), "SimulationError": SimulationError}
 SECTIONS = ["Args", "Attributes", "Returns", "Yields", "Raises", "Warns", "Example"]
 RECORDS = {"NamedTuple", "TypedDict"}
 # Arguments and fields that mean the same everywhere. So do transforms such as `T_body_tip`, and what
-# is named after its type, such as `plant: Plant`.
+# is named after its type, such as `plant: Plant`. The page on conventions defines the letters.
 OBVIOUS = {"controller", "count", "folder", "joint", "joint_names", "name", "path", "robot", "rng", "seed", "tip_body"}
+OBVIOUS |= {"q", "v", "a", "tau"}
 # Types of results that need a sentence: it gives the shape, the unit, or the meaning of the entries.
 UNCLEAR_RESULT = re.compile(r"\b(float|int|tuple|list|dict|object|Any|Sequence|Iterator|\w*Array|NDArray\S*)\b")
 FILLERS = {"a", "an", "the", "its", "of", "this", "that", "given", "whose", "one", "both", "whole"}
@@ -277,7 +278,8 @@ def test_a_line_that_repeats_the_signature_is_found(signature: str, section: str
         ("model: mujoco.MjModel | None", True),
         ("trajectory: JointTrajectory", True),
         ("seed: int", True),
-        ("q: Array", False),
+        ("q: Array", True),
+        ("points: Array", False),
         ("speed: float", False),
         ("other: Arm", False),
     ],

@@ -11,7 +11,7 @@ from arms import arm_of
 import armctl
 from armctl.cli.main import main
 from armctl.core.log import Log
-from armctl.motion import move_path
+from armctl.motion.move_cartesian import move_path
 from armctl.sim.recorder import MOST_TICKS
 
 

@@ -17,8 +17,7 @@ from armctl.cli.main import main
 from armctl.mjmodel.target_marker import TARGET
 from armctl.render import Renderer, record, still
 from armctl.render.camera import axes, box_corners, fitted_camera
-from armctl.render.gl import INSTALL, gl_context
-from armctl.render.renderer import thinned
+from armctl.render.renderer import INSTALL, gl_context, thinned
 
 
 def _can_draw() -> bool:

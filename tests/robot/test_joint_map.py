@@ -6,7 +6,7 @@ import pytest
 from synthetic import FAST, FINGERS, PULL, RIGID, TIED, limb, mjcf, motors, tendon, ties
 
 import armctl
-from armctl.ik import solve_ik_batch
+from armctl.ik.batch import solve_ik_batch
 from armctl.mjmodel.transmissions import Transmission, Transmissions
 from armctl.robot.dynamics import Dynamics
 from armctl.robot.joint_map import JointMap

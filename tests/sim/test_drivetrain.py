@@ -15,6 +15,7 @@ import armctl
 JOINT = 'armature="0.1" damping="0.5"'
 SPRING = {"elasticity": 1000.0, "rotor_inertia": 0.2}
 PLANTS = [
+    armctl.Plant(jitter=2),
     armctl.Plant(sensor_delay=2),
     armctl.Plant(continuous=True, velocity="true"),
     armctl.Plant(continuous=True, **SPRING),
@@ -84,10 +85,22 @@ def test_an_elastic_plant_moves_as_the_same_elastic_joint_of_a_file(load):
     other = armctl.simulate(rigid, torque, armctl.move_j(rigid, rigid.home, rigid.home + 0.3), plant)
     link = log.qpos[:, 0] + log.qpos[:, 1]
     assert np.abs(log.qpos[:, 1]).max() > 1e-3
-    # The file's arm rests with its motor at home, the plant's with its link at home: compare the motion, with gravity the same.
-    moved = (link - link[0])[:300]
-    assert np.ptp(moved) > 0.5
-    assert other.q[:300, 0] - other.q[0, 0] == pytest.approx(moved, abs=2e-4)
+    assert log.q[:, 0] == pytest.approx(link, abs=1e-15)
+    assert np.ptp(link[:300]) > 0.5
+    assert other.q[:300] == pytest.approx(log.q[:300], abs=2e-4)
+    assert other.v[:300] == pytest.approx(log.v[:300], abs=2e-3)
+
+
+def test_a_push_bends_the_spring_of_a_file_as_that_of_a_plant(load):
+    with pytest.warns(armctl.ArmctlWarning):
+        arm = load(rotor_spring_link("a b", 400.0), FAST + motors("a b"))
+    push = armctl.Push(0.0, 9.0, force=[0.0, 0.0, 20.0])
+    log = armctl.simulate(arm, "pd-gravity", armctl.move_j(arm, arm.home, arm.home), armctl.Plant(pushes=push), dwell=3.0)
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = log.qpos[-1]
+    mujoco.mj_forward(arm.model, data)
+    load_torque = arm.jacobian(log.q[-1])[:3].T @ [0.0, 0.0, 20.0]
+    assert 400.0 * log.qpos[-1, [1, 3]] == pytest.approx(load_torque - data.qfrc_bias[[1, 3]], abs=1e-4)
 
 
 class _Torque:

@@ -7,7 +7,7 @@ import pytest
 from synthetic import BENT, serial_arm
 
 import armctl
-from armctl.motion import Arc, Line
+from armctl.motion.move_cartesian import Arc, Line
 
 
 @pytest.fixture(scope="module")

@@ -191,7 +191,9 @@ def test_a_push_that_cannot_be_is_refused(arguments, sentence):
     [
         ({"payload": -1.0}, "payload: expected a number at least 0, got -1"),
         ({"mass_scale": 0.0}, "mass_scale: expected .*got 0"),
-        ({"delay": 1.5}, "delay: expected a whole number at least 0, got 1.5"),
+        ({"delay": 1.5}, "delay: expected a whole number at least 0, got 1.5; the unit is ticks, that is control periods:"),
+        ({"wrench_delay": 0.002}, "0.002; the unit is ticks, that is control periods: divide a time in seconds by"),
+        ({"encoder_bits": 1.5}, r"encoder_bits: expected a whole number .* got 1.5$"),
         ({"delay": -1}, "delay: expected .*got -1"),
         ({"encoder_noise": math.nan}, "encoder_noise: expected .*got nan"),
         ({"coulomb_friction": [0.1, -0.2]}, "coulomb_friction: every value must be at least 0, got -0.2"),

@@ -8,7 +8,6 @@ from motions import Still
 from synthetic import BENT, limb, mjcf, motors, serial_arm
 
 import armctl
-from armctl import _core
 
 PAIR = limb("a b c") + limb("d e f").replace('pos="0.1 0 0.1"', 'pos="-0.5 0 0.1"', 1)
 WALL_FACE = 0.44  # m
@@ -100,16 +99,6 @@ def test_three_joints_tell_the_force_only(at_wall):
     log, seen, _ = pressed(at_wall, armctl.Plant(timestep=0.001, wrench_source="torques"))
     assert seen[-1][:3] == pytest.approx(log.wrench[-1][:3], abs=0.5)
     assert not seen[:, 3:].any()
-
-
-@pytest.mark.parametrize("rank", [6, 4, 0])
-def test_least_squares_are_those_of_lapack_also_at_singular_configurations(rank):
-    rng = np.random.default_rng(rank)
-    A = rng.normal(size=(6, rank)) @ rng.normal(size=(rank, 7))
-    b = rng.normal(size=7)
-    x = np.zeros(6)
-    _core.solve_least_squares(A.copy(), b, x)
-    assert x == pytest.approx(np.linalg.lstsq(A.T, b)[0], abs=1e-12)
 
 
 def test_a_delayed_sensor_shows_the_wrench_of_earlier_ticks(at_wall):

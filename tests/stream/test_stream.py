@@ -114,6 +114,23 @@ def test_a_newer_chunk_replaces_the_older_one_from_its_first_time_on(arm):
     assert_inside(arm, points)
 
 
+@pytest.mark.parametrize("every", [0.1, 1 / RATE, 0.02, DT])
+def test_a_chunk_that_is_replaced_often_is_followed_as_well(arm, every: float):
+    wanted = sine(arm)
+    stream = armctl.Stream(arm, wanted(0.0))
+    errors = []
+    due = 0.0
+    while stream.t < 2.0:
+        if stream.t >= due - 1e-9:
+            due += every
+            times = stream.t - 0.1 + np.arange(16) / RATE
+            stream.push_chunk(times, [wanted(t) for t in times])
+        point = stream.step(DT)
+        if stream.t > 1.0:
+            errors.append(wanted(stream.t) - point.q)
+    assert np.abs(errors).max() < 1e-4
+
+
 def test_a_single_step_of_the_target_is_reached_at_rest(arm):
     stream = armctl.Stream(arm, arm.home)
     goal = arm.limits.clamp(arm.home + np.array([0.8, 0.3, -0.4]))

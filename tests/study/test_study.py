@@ -21,7 +21,7 @@ import pytest
 import armctl
 from armctl.sim.mujoco_library import library
 from armctl.study.bench import Bench, _model_digest, failed_outcome, run_chunk, versions
-from armctl.study.store import Store
+from armctl.study.study import Store
 
 
 def digests(result: armctl.StudyResult) -> list[str]:

@@ -4,10 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from arms import BUNDLED, arm_of
 
+from armctl.core.pose import Pose
 from armctl.sim.realtime.history import Samples
+from armctl.sim.realtime.session import RealTimeSession
 from armctl.viewer.charts import Charts
 from armctl.viewer.contact_arrows import ContactArrows
+from armctl.viewer.demonstration import Demonstration
 from armctl.viewer.tip_trail import TipTrail
 
 EPSILON = 1e-6  # points are sent as float32
@@ -84,7 +88,37 @@ def test_the_charts_show_millimetres_percents_and_the_age_of_each_sample(paper):
     assert errors.data[1] == pytest.approx(1e3 * to_target[rows])
     assert errors.data[2] == pytest.approx([2.0] * 3)
     assert charts.shown_reference_error_mm == pytest.approx(2.0)
-    assert torques.labels[1:3] == ["first", "second"]
-    assert torques.data[1] == pytest.approx(100.0 * share[rows, 0])
-    assert torques.data[2] == pytest.approx([25.0] * 3)
-    assert [torques.data[3][0], torques.data[4][0]] == [100.0, -100.0]
+    assert torques.data[1] == pytest.approx(np.maximum(100.0 * np.abs(share[rows, 0]), 25.0))
+    assert torques.data[2] == pytest.approx([100.0] * 3)
+
+
+def test_the_demonstration_goes_round_and_comes_back_until_somebody_aims_elsewhere():
+    arm = arm_of(BUNDLED)
+    session = RealTimeSession(arm)
+    demonstration = Demonstration(session)
+    start = session.status.target
+
+    def play(seconds: float, now: float) -> tuple[float, list[np.ndarray]]:
+        seen = []
+        for _ in range(round(seconds / 0.03)):
+            demonstration.advance(now)
+            for _ in range(3):
+                session.advance()
+            seen.append(session.status.target.position)
+            now += 0.03
+        return now, seen
+
+    now, before = play(6.0, 0.0)  # the arm goes to its first target, rests, and begins
+    assert np.ptp(before, axis=0).max() > 0.01
+    now, _ = play(12.0, now)
+    assert demonstration.is_over
+    assert session.status.target.position == pytest.approx(start.position, abs=EPSILON)
+
+    demonstration = Demonstration(session)
+    now, _ = play(3.0, now)
+    elsewhere = Pose(start.position + np.array([0.0, 0.0, -0.02]), quat=start.quat)
+    session.aim(elsewhere)
+    session.advance()
+    play(1.0, now)
+    assert demonstration.is_over
+    assert session.status.target is elsewhere

@@ -57,8 +57,7 @@ LABELS = [
     "position, m",
     "roll, pitch, yaw, rad",
     "controller",
-    "pause",
-    "reset",
+    "time",
 ]
 ATTRIBUTES = [
     {"removed": True},
@@ -324,7 +323,7 @@ def test_a_failed_session_is_shown_and_reset_repairs_it(page, client, monkeypatc
         assert "at the target" not in page._controls.shown._label.text
     assert page.session._thread is not None
     assert page.session._thread.is_alive()
-    client.set(page, "reset", True)
+    client.set(page, "time", "reset")
     follows(page, client)
 
 

@@ -78,14 +78,6 @@ public:
         return static_cast<size_t>(view_.shape[axis]);
     }
 
-    // The second dimension of an array whose first one is `rows`.
-    size_t columns(size_t rows, const char* name) const {
-        if (length(name) != rows || view_.ndim < 2) {
-            throw InputError(std::string(name) + ": need an array with two dimensions, of which the first is " + std::to_string(rows));
-        }
-        return static_cast<size_t>(view_.shape[1]);
-    }
-
 private:
     static constexpr bool is_integer = std::is_integral_v<Number>;
 

@@ -93,8 +93,7 @@ void bind_scene(nb::module_& module) {
         .def(
             "nearest_pair", [](CollisionScene& self, const In& q) { return self.nearest_pair(all_positions(self, q)); }, "q"_a, Release(),
             "The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.")
-        .def("overlap_depth", &overlap_depth, "q"_a, "pair"_a, Release(),
-             "How far the geoms of a pair must move to part, m: the least over the model's directions.")
+        .def("overlap_depth", &overlap_depth, "q"_a, "pair"_a, Release(), "How far the geoms of a pair must move to part, m, at most.")
         .def("find_near_pairs", &find_near_pairs, "q"_a, "moves"_a, "share"_a, "clearances"_a, Release(),
              "Finds the pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which\n"
              "is their distance less their clearance (K,). Returns how many there are.")
@@ -113,7 +112,7 @@ void keep_axis(ClearanceProof& proof, const KeptAxis* keep) {
 
 void set_motion(ClearanceProof& proof, const In& knots, const In& coefficients) {
     const size_t pieces = std::max<size_t>(knots.length("knots"), 1) - 1;
-    const size_t powers = coefficients.columns(pieces, "coefficients");
+    const size_t powers = coefficients.length("coefficients", 1);
     const size_t joints = proof.scene().model().joints();
     proof.motion().set(knots.vector(pieces + 1, "knots"), coefficients.shaped({pieces, powers, joints}, "coefficients"), joints);
 }

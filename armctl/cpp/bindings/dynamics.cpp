@@ -104,14 +104,7 @@ void bind_linear_algebra(nb::module_& module) {
             const size_t n = M.length("M");
             factorize(M.matrix(n, n, "M"));
         },
-        "M"_a, "Factorizes a positive definite (n, n) matrix in place, as L D L^T, for `solve` and `multiply`.");
-    module.def(
-        "take_roots",
-        [](const Out& factors) {
-            const size_t n = factors.length("factors");
-            take_roots(factors.matrix(n, n, "factors"));
-        },
-        "factors"_a, "Makes the lower triangle of what `factorize` leaves the Cholesky factor.");
+        "M"_a, "Factorizes a positive definite (n, n) matrix in place, as L D L^T, for `solve`.");
     module.def(
         "solve",
         [](const In& factors, const Out& x) {
@@ -119,22 +112,6 @@ void bind_linear_algebra(nb::module_& module) {
             solve(factors.matrix(n, n, "factors"), x.vector(n, "x"));
         },
         "factors"_a, "x"_a, "Replaces x (n,) by the solution of M solution = x, with M as `factorize` leaves it.");
-    module.def(
-        "multiply",
-        [](const In& factors, const In& x, const Out& product) {
-            const size_t n = x.length("x");
-            multiply(factors.matrix(n, n, "factors"), x.vector(n, "x"), product.vector(n, "product"));
-        },
-        "factors"_a, "x"_a, "product"_a, "product = M x, (n,) each, with M as `factorize` leaves it.");
-    module.def(
-        "solve_least_squares",
-        [](const Out& A, const In& b, const Out& x) {
-            const size_t r = x.length("x");
-            const size_t n = b.length("b");
-            DenseMatrix rotations(r, r);
-            solve_least_squares(A.matrix(r, n, "A"), b.vector(n, "b"), rotations, x.vector(r, "x"));
-        },
-        "A"_a, "b"_a, "x"_a, "Adds to x (r,) the shortest vector that minimizes |A^T x - b|; A (r, n) is overwritten.");
 }
 
 void bind_poses(nb::module_& module) {

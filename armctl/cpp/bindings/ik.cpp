@@ -129,16 +129,6 @@ void branches_of(const Chain& chain, const In& q, const IntegersOut& branches) {
     }
 }
 
-void manipulabilities(const Chain& chain, bool oriented, const In& q, const Out& values) {
-    const Matrix configurations = q.matrix(q.length("q"), chain.n(), "q");
-    const Result results = values.vector(configurations.rows, "values");
-    ChainKinematics kinematics(chain);
-    for (size_t t = 0; t < results.size(); ++t) {
-        kinematics.place(configurations.row(t));
-        results[t] = kinematics.manipulability(oriented);
-    }
-}
-
 void bind_chain(nb::module_& module) {
     nb::enum_<AxesRelation>(module, "AxesRelation", nb::is_arithmetic(), "How the axes of some joints are related.")
         .value("NEITHER", AxesRelation::neither)
@@ -189,9 +179,7 @@ void bind_chain(nb::module_& module) {
         .def("polish", &polish_seeds, "target"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "seeds"_a, "q"_a,
              "position_errors"_a, "orientation_errors"_a, "branches"_a, Release(),
              "Refines the seeds (M, n) of a pose (12,) and keeps those that are solutions inside the bounds, nearest first.")
-        .def("branches", &branches_of, "q"_a, "branches"_a, Release(), "Fills branches (N,) with the numbers of those of q (N, n).")
-        .def("manipulabilities", &manipulabilities, "oriented"_a, "q"_a, "values"_a, Release(),
-             "Fills values (N,) with the manipulability at each q (N, n), lengths in m.");
+        .def("branches", &branches_of, "q"_a, "branches"_a, Release(), "Fills branches (N,) with the numbers of those of q (N, n).");
 }
 
 double linearize(ErrorModel& model, const In& target, Constraint constraint, double position_priority, const In& q, const Out& hessian,
@@ -210,11 +198,6 @@ double linearize(ErrorModel& model, const In& target, Constraint constraint, dou
         for (size_t row = 0; row < 6; ++row) { jacobian(row, i) = column[row]; }
     }
     return model.size();
-}
-
-void null_step(ErrorModel& model, Constraint constraint, const In& desired, const In& low, const In& high, const Out& step) {
-    const size_t n = model.chain().n();
-    model.null_step(constraint, desired.vector(n, "desired"), low.vector(n, "low"), high.vector(n, "high"), step.vector(n, "step"));
 }
 
 std::shared_ptr<ClosedForm> make_closed_form(std::shared_ptr<const Chain> chain, const nb::kwargs& arguments) {
@@ -274,9 +257,7 @@ void bind_ik(nb::module_& module) {
         .def(nb::init<const Chain&>(), "chain"_a, nb::keep_alive<1, 2>())
         .def("linearize", &linearize, "target"_a, "constraint"_a, "position_priority"_a, "q"_a, "hessian"_a, "gradient"_a, "J"_a,
              "Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach\n"
-             "counts like a rad. Returns the norm of the error.")
-        .def("null_step", &null_step, "constraint"_a, "desired"_a, "low"_a, "high"_a, "step"_a,
-             "The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.");
+             "counts like a rad. Returns the norm of the error.");
     nb::class_<ClosedForm>(module, "ClosedForm",
                            "The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.")
         .def(nb::new_(&make_closed_form), "chain"_a, "arguments"_a,

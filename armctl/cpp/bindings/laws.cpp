@@ -30,7 +30,12 @@ namespace {
 
 using NumPyArray = nb::ndarray<nb::numpy, double>;
 
-NumPyArray view(Result numbers, nb::handle owner) { return {numbers.data(), {numbers.size()}, owner}; }
+// Numbers of a law as an array that shares its memory.
+template <class ConcreteLaw, Result (ConcreteLaw::*numbers)()>
+NumPyArray shared(nb::handle_t<ConcreteLaw> self) {
+    const Result found = (nb::cast<ConcreteLaw&>(self).*numbers)();
+    return {found.data(), {found.size()}, self};
+}
 
 // Calls take a few microseconds and keep the GIL: so one object may be called by two threads.
 void bind_law(nb::module_& module) {
@@ -68,9 +73,8 @@ void bind_law(nb::module_& module) {
             "`reference` has the (5, n) rows q, v, a, v_tick, a_tick of a setpoint; k rows each of q, v_tick and a_tick of the ticks\n"
             "from this one on may follow, if they are known.\n"
             "`wrench` (6,) is not read by a law that does not need it.")
-        .def_prop_ro(
-            "memory", [](nb::handle_t<Law> self) { return view(nb::cast<Law&>(self).memory(), self); },
-            "What the law keeps from tick to tick; an array that shares the memory of the law.")
+        .def_prop_ro("memory", &shared<Law, &Law::memory>,
+                     "What the law keeps from tick to tick; an array that shares the memory of the law.")
         .def("reset", &Law::reset, "Begins a new run.")
         .def("clone", &Law::clone, "The same law and gains with memory of its own, at the start of a run.");
 }
@@ -103,16 +107,12 @@ void bind_computed_torque(nb::module_& module) {
     bind<ComputedTorque>(module, "ComputedTorque", "Computed torque; with weights of an estimate, at estimated positions and velocities.");
     bind<LQR>(module, "LQR", "Linear quadratic regulator with integral action, at estimated positions and velocities.");
     bind<ComputedTorqueObserver>(module, "ComputedTorqueObserver", "Computed torque with a disturbance observer that estimates velocities.")
-        .def_prop_ro(
-            "disturbance",
-            [](nb::handle_t<ComputedTorqueObserver> self) { return view(nb::cast<ComputedTorqueObserver&>(self).disturbance(), self); },
-            "The estimated disturbance, (n,) N m; a part of the memory.");
+        .def_prop_ro("disturbance", &shared<ComputedTorqueObserver, &ComputedTorqueObserver::disturbance>,
+                     "The estimated disturbance, (n,) N m; a part of the memory.");
     bind<ComputedTorqueLearning, ComputedTorqueObserver>(module, "ComputedTorqueLearning",
                                                          "Computed torque with an observer, which learns payload, friction and delay.")
-        .def_prop_ro(
-            "estimate",
-            [](nb::handle_t<ComputedTorqueLearning> self) { return view(nb::cast<ComputedTorqueLearning&>(self).estimate(), self); },
-            "The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.");
+        .def_prop_ro("estimate", &shared<ComputedTorqueLearning, &ComputedTorqueLearning::estimate>,
+                     "The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.");
     module.def(
         "payload_regressor",
         [](Dynamics& dynamics, const In& q, const In& v, const In& a, const Out& Y) {
@@ -140,9 +140,8 @@ void bind_qp(nb::module_& module) {
             "H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without\n"
             "limits; None if the torque was not limited.");
     bind<MPC, ComputedTorqueQP>(module, "MPC", "Model predictive control within limits of torque, velocity and position.")
-        .def_prop_ro(
-            "counts", [](nb::handle_t<MPC> self) { return view(nb::cast<MPC&>(self).counts(), self); },
-            "Ticks: all, those that needed a plan, and those without one; a part of the memory.");
+        .def_prop_ro("counts", &shared<MPC, &MPC::counts>,
+                     "Ticks: all, those that needed a plan, and those without one; a part of the memory.");
     module.attr("UNBOUNDED") = unbounded;
     module.def(
         "solve_program",
@@ -169,9 +168,8 @@ void bind_task_space(nb::module_& module) {
             "set_stiffness", [](Impedance& self, const nb::kwargs& gains) { self.set_stiffness(KeywordArguments(gains)); },
             "Replaces the stiffness of the tip, (6,) N/m and N m/rad.");
     bind<Admittance>(module, "Admittance", "Admittance control: a position loop follows a compliant reference.")
-        .def_prop_ro(
-            "offset", [](nb::handle_t<Admittance> self) { return view(nb::cast<Admittance&>(self).offset(), self); },
-            "The displacement of the reference, (6,) m and rad; a part of the memory.");
+        .def_prop_ro("offset", &shared<Admittance, &Admittance::offset>,
+                     "The displacement of the reference, (6,) m and rad; a part of the memory.");
     bind<HybridForce>(module, "HybridForce", "Hybrid force/motion control with contact transition.")
         .def(
             "set_axes", [](HybridForce& self, const nb::kwargs& axes) { self.set_axes(KeywordArguments(axes)); },

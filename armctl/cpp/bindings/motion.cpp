@@ -1,8 +1,7 @@
-// Timing of motions, and how far they leave their limits.
+// Timing of motions.
 #include <nanobind/nanobind.h>
 
 #include "arguments.hpp"
-#include "limit_excess.hpp"
 #include "path_timing.hpp"
 #include "topics.hpp"
 #include "waypoint_timing.hpp"
@@ -13,23 +12,6 @@ using namespace nb::literals;
 namespace armctl {
 
 namespace {
-
-void find_limit_excess(const In& coefficients, const In& steps, size_t order, const In& low, const In& high, const Out& excess) {
-    const size_t pieces = coefficients.length("coefficients");
-    const size_t count = coefficients.length("coefficients", 1);
-    const size_t joints = coefficients.length("coefficients", 2);
-    if (count <= order || count > max_polynomial_degree + 1) {
-        throw InputError("coefficients: need polynomials of a degree from " + std::to_string(order) + " to " +
-                         std::to_string(max_polynomial_degree));
-    }
-    const PolynomialSpan motion{coefficients.shaped({pieces, count, joints}, "coefficients"), pieces, count - 1, joints};
-    const Vector lengths = steps.vector(pieces, "steps");
-    const Matrix lows = low.matrix(pieces, joints, "low");
-    const Matrix highs = high.matrix(pieces, joints, "high");
-    const MatrixResult result = excess.matrix(pieces, joints, "excess");
-    const nb::gil_scoped_release release;
-    limit_excess(motion, lengths, order, lows, highs, result);
-}
 
 bool find_path_speed(const Out& coefficients, double interval_length, bool from_near, const nb::kwargs& arguments) {
     const KeywordArguments given(arguments);
@@ -57,8 +39,6 @@ nb::tuple slopes_of_displacement(double time, EndState start, EndState end, cons
 }  // namespace
 
 void bind_motion(nb::module_& module) {
-    module.def("limit_excess", &find_limit_excess, "coefficients"_a, "steps"_a, "order"_a, "low"_a, "high"_a, "excess"_a,
-               "How far a derivative of each joint leaves [low, high] in each piece: exact where greater than 0, else at most 0.");
     module.def("fastest_path_speed", &find_path_speed, "coefficients"_a, "interval_length"_a, "from_near"_a, "arguments"_a,
                "Fills the coefficients of the squared path speed that takes the least time; False if none keeps the bounds.\n\n"
                "With from_near they hold the solution for bounds that are a little different. armctl/cpp/path_timing.hpp explains\n"

@@ -88,7 +88,8 @@ std::vector<GeomPair> geoms_of(const nb::bytes& geoms) {
 
 void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSensor* sensor, const nb::bytes& touching,
                const nb::kwargs& given) {
-    const Ticks ticks(KeywordArguments(given), loop.joints(), loop.simulation().qpos.size());
+    const KeywordArguments arguments(given);
+    const Ticks ticks(arguments, loop.joints(), loop.simulation().qpos.size());
     loop.check(ticks, law, delay, sensor);
     std::vector<GeomPair> geoms = geoms_of(touching);
     // The ticks use a law of their own, so that another simulation may use this one at the same time.

@@ -9,10 +9,10 @@ namespace armctl {
 //
 // Sources: Hogan, "Impedance control" (1985); Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control
 // (2009), 9.3.2. Arms of less than six joints yield in position only.
-class Admittance final : public Law {
+class Admittance final : public Cloneable<Admittance> {
 public:
     Admittance(const Model& model, const Arguments& gains)
-        : Law(model->n(), size_t{3} * 6, true), mass_(gains.gains(6, "mass")), damping_(gains.gains(6, "damping")),
+        : Cloneable(model->n(), size_t{3} * 6, true), mass_(gains.gains(6, "mass")), damping_(gains.gains(6, "damping")),
           stiffness_(gains.gains(6, "stiffness")), bandwidth_(gains.gain("bandwidth")), dt_(gains.gain("dt")),
           task_(model, task_rows(model->n())) {
         if (std::ranges::count(mass_, 0.0) > 0) { throw InputError("mass: every value must be greater than 0, got 0"); }
@@ -50,8 +50,6 @@ public:
             for (size_t k = 0; k < motion_.size(); ++k) { tau[i] -= task_.J(k, i) * filtered_wrench()[k]; }
         }
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
     // x_c, the displacement of the reference, (6,) m and rad.
     Result offset() { return memory(0, 6); }

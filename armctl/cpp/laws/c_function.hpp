@@ -12,11 +12,12 @@ namespace armctl {
 using LawFunction = void (*)(const double* parameters, const double* q, const double* v, const double* reference, const double* wrench,
                              double* memory, double* tau, std::int64_t n);
 
-class CFunctionLaw final : public Law {
+class CFunctionLaw final : public Cloneable<CFunctionLaw> {
 public:
     // Throws InputError if there is no function or no joint.
     CFunctionLaw(LawFunction function, size_t n, Vector parameters, size_t memory_size, bool needs_wrench)
-        : Law(n, memory_size, needs_wrench), function_(function), parameters_(parameters.begin(), parameters.end()), reference_(5, n) {
+        : Cloneable(n, memory_size, needs_wrench), function_(function), parameters_(parameters.begin(), parameters.end()),
+          reference_(5, n) {
         if (function_ == nullptr) { throw InputError("address: need that of a function, got 0"); }
         if (n == 0) { throw InputError("n: need at least one joint"); }
     }
@@ -29,8 +30,6 @@ public:
         function_(parameters_.data(), state.q.data(), state.v.data(), reference_.numbers().data(), wrench.data(), memory().data(),
                   tau.data(), static_cast<std::int64_t>(joints()));
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     LawFunction function_;

@@ -11,7 +11,7 @@ namespace armctl {
 //
 // The textbook form inverts the differential equation, with a model of continuous time. The other form inverts the motion over
 // one control period, with the model of that period and a reference that is differenced on the tick grid.
-class ComputedTorque : public Law {
+class ComputedTorque : public Cloneable<ComputedTorque> {
 public:
     // The gains are the members below and those of EstimateWeights; without weights, q and v are the measured ones.
     ComputedTorque(const Model& model, const Arguments& gains) : ComputedTorque(model, gains, EstimateWeights(gains)) {}
@@ -38,8 +38,6 @@ public:
         if (is_estimated()) { predict(tau); }
     }
 
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
-
     // Of the last tick, (n,): the acceleration of the feedback, and the torque of the added inertia and of the damping, which
     // inverse dynamics does not contain.
     Vector correction() const { return correction_; }
@@ -48,7 +46,7 @@ public:
 protected:
     // The memory: whether there was a tick, then the estimate, and further numbers for a derived law.
     ComputedTorque(const Model& model, const Arguments& gains, const EstimateWeights& weights, size_t further_memory = 0)
-        : Law(model->n(), estimate_size(model->n(), weights) + further_memory), estimate_size_(estimate_size(model->n(), weights)),
+        : Cloneable(model->n(), estimate_size(model->n(), weights) + further_memory), estimate_size_(estimate_size(model->n(), weights)),
           stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")), added_inertia_(gains.gains(joints(), "added_inertia")),
           weights_(weights), torque_limit_(gains.limits(joints(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
 

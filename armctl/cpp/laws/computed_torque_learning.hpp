@@ -12,10 +12,10 @@ namespace armctl {
 // of each joint that the model does not contain, N m. tau_ref' is the rate of the torque that the reference needs.
 //
 // Source: Ljung, System Identification (1999), 11.2.
-class ComputedTorqueLearning final : public ComputedTorqueObserver {
+class ComputedTorqueLearning final : public Cloneable<ComputedTorqueLearning, ComputedTorqueObserver> {
 public:
     ComputedTorqueLearning(const Model& model, const Arguments& gains)
-        : ComputedTorqueObserver(model, gains, memory_size(model->n())), filter_weight_(gains.gain("filter_weight")),
+        : Cloneable(model, gains, memory_size(model->n())), filter_weight_(gains.gain("filter_weight")),
           information_weight_(gains.gain("information_weight")), forgetting_(gains.gain("forgetting")),
           torque_precision_(gains.gains(joints(), "torque_precision")), prior_deviations_(gains.gains(p_, "prior_deviations")) {}
 
@@ -30,8 +30,6 @@ public:
         for (size_t i = 0; i < joints(); ++i) { known_[i] += memory.fed_forward[i]; }
         cancel(tau);
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
     // (p,): the ten parameters of the payload, the delay, s, and the dry friction of the joints, N m.
     Result estimate() { return memory_parts().estimate; }

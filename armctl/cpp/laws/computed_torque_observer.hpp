@@ -10,7 +10,7 @@ namespace armctl {
 //
 // The commanded acceleration predicts position and velocity, and the measured position corrects both. The model is that of the
 // control period dt, and of continuous motion or of steps of MuJoCo.
-class ComputedTorqueObserver : public Law {
+class ComputedTorqueObserver : public Cloneable<ComputedTorqueObserver> {
 public:
     ComputedTorqueObserver(const Model& model, const Arguments& gains) : ComputedTorqueObserver(model, gains, 0) {}
 
@@ -20,16 +20,14 @@ public:
         cancel(tau);
     }
 
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
-
     // The estimated disturbance, (n,) N m.
     Result disturbance() { return vector_of_memory(0); }
 
 protected:
     // As above, with further numbers of memory for a derived law.
     ComputedTorqueObserver(const Model& model, const Arguments& gains, size_t further_memory)
-        : Law(model->n(), memory_size(model->n()) + further_memory), dynamics_(model), weights_(gains), stiffness_(gains.gain("stiffness")),
-          damping_(gains.gain("damping")), disturbance_weight_(gains.gain("disturbance_weight")),
+        : Cloneable(model->n(), memory_size(model->n()) + further_memory), dynamics_(model), weights_(gains),
+          stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")), disturbance_weight_(gains.gain("disturbance_weight")),
           torque_limit_(gains.limits(model->n(), "torque_limit")) {}
 
     // The steps of a tick, in this order.

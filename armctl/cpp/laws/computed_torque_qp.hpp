@@ -13,11 +13,11 @@ namespace armctl {
 // in which rotations weigh less than translations, and the joints decide what the tip leaves open. If the limits contradict
 // each other, the torque limits hold and the violation of the others is minimal. If that is impossible too, because other
 // limits, which a_desired respects, contradict the torque limits, the torque of a_desired is clipped.
-class ComputedTorqueQP : public Law {
+class ComputedTorqueQP : public Cloneable<ComputedTorqueQP> {
 public:
     // The gains are those of ComputedTorque and the members below. `q_min` and `q_max` may be infinite.
     ComputedTorqueQP(const Model& model, const Arguments& gains, size_t memory_size = 0)
-        : Law(model->n(), memory_size), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
+        : Cloneable(model->n(), memory_size), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
           q_min_(positions(gains, "q_min")), q_max_(positions(gains, "q_max")), v_max_(gains.limits(joints(), "v_max")),
           a_max_(gains.limits(joints(), "a_max")), tau_max_(gains.limits(joints(), "torque_limit")), length_(gains.gain("length")),
           dt_(gains.gain("dt")), mean_share_(gains.flag("continuous") ? 0.5 : 0.0), unlimited_(model, gains), dynamics_(at_start(*model)),
@@ -28,17 +28,8 @@ public:
         if (!is_limited_) { return; }
         copy(tau, torque_);
         find_deviation();
-        for (size_t i = 0; i < tau.size(); ++i) {
-            tau[i] = dot(M_.row(i), deviation_, tau[i]);
-            if (tau[i] > tau_max_[i]) {
-                tau[i] = tau_max_[i];
-            } else if (tau[i] < -tau_max_[i]) {
-                tau[i] = -tau_max_[i];
-            }
-        }
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] = clipped(dot(M_.row(i), deviation_, tau[i]), tau_max_[i]); }
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
     // The program of the last tick, if the torque was limited: minimize x H x / 2 subject to lower <= (x, M x) <= upper.
     bool is_limited() const { return is_limited_; }

@@ -14,10 +14,10 @@ namespace armctl {
 // (1987). Along a force axis the tip approaches slowly until it measures a contact; a ForceAxis then raises the force. Along
 // all other axes the tip follows its reference, and the measured wrench w on them, such as friction on a surface, is
 // compensated. Arms of less than six joints control the position of the tip, not its orientation.
-class HybridForce final : public Law {
+class HybridForce final : public Cloneable<HybridForce> {
 public:
     HybridForce(const Model& model, const Arguments& gains)
-        : Law(model->n(), 1 + 6 * ForceAxis::memory_size + 6 + model->n(), true), bandwidth_(gains.gain("bandwidth")),
+        : Cloneable(model->n(), 1 + 6 * ForceAxis::memory_size + 6 + model->n(), true), bandwidth_(gains.gain("bandwidth")),
           damping_ratio_(gains.gain("damping_ratio")), in_tip_frame_(gains.flag("in_tip_frame")),
           approach_speed_(gains.gain("approach_speed")), contact_force_(gains.gain("contact_force")), dt_(gains.gain("dt")),
           task_(model, task_rows(model->n())) {
@@ -80,8 +80,6 @@ public:
         subtract_compensated_wrench(state.wrench, wrench);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = dot(task_.J.column(i), wrench, tau[i]); }
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     // rad/s; velocities that are differenced are ten times less noisy after it.
@@ -201,14 +199,8 @@ private:
         solve(turning_, lever);
         const double length = std::sqrt(dot(lever, lever));
         const double scale = std::min(1.0, max_lever / std::max(length, 1e-12));
-        double value = tip;
-        for (size_t i = 0; i < 3; ++i) {
-            value += 2.0 * scale * lever[i] * coupling[i];
-            for (size_t j = 0; j < 3; ++j) {
-                const double inertia_part = mobility_(3 + i, 3 + j) + (i == j ? 1e-9 * trace : 0.0);
-                value += scale * scale * lever[i] * inertia_part * lever[j];
-            }
-        }
+        // The mobility at a part of that lever, which solves (inertia of the turn) lever = -coupling.
+        const double value = tip + (2.0 - scale) * scale * dot(lever, Vector(coupling));
         return std::max(value, min_mobility_ratio * tip);
     }
 

@@ -9,10 +9,10 @@ namespace armctl {
 // Sources: Hogan, "Impedance control" (1985). D follows from stiffness and mass matrix by simultaneous diagonalization, so
 // every mode has the same damping ratio: Albu-Schaeffer, Ott, Hirzinger, "A unified passivity-based control framework for
 // position, torque and impedance control of flexible joint robots" (2007). The posture spring acts in the null space.
-class Impedance final : public Law {
+class Impedance final : public Cloneable<Impedance> {
 public:
     Impedance(const Model& model, const Arguments& gains)
-        : Law(model->n()), stiffness_(gains.gains(6, "stiffness")), max_error_(gains.limits(6, "max_error")),
+        : Cloneable(model->n()), stiffness_(gains.gains(6, "stiffness")), max_error_(gains.limits(6, "max_error")),
           posture_stiffness_(gains.gains(model->n(), "posture_stiffness")), damping_ratio_(gains.gain("damping_ratio")), task_(model, 6) {}
 
     // Replaces the stiffness of the tip.
@@ -39,8 +39,6 @@ public:
         task_.dynamics.add_friction(v_ref, a_ref, tau);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += feedback_[i]; }
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     // K = N^T diag(springs) N with N = 1 - M^-1 J^T (J M^-1 J^T)^-1 J: the posture springs in the null space of the tip.

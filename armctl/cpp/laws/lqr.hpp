@@ -10,11 +10,11 @@ namespace armctl {
 //
 // Inverse dynamics cancels what the linearized arm has of gravity and Coriolis torques, and G contains it again: so the torque is
 // that of the linear quadratic regulator at the node, and elsewhere the accelerations of the feedback are the same.
-class LQR final : public ComputedTorque {
+class LQR final : public Cloneable<LQR, ComputedTorque> {
 public:
     // `nodes` (k, n) are configurations, rad, and `feedback` (k, n, 3n) the gains there.
     LQR(const Model& model, const Arguments& gains)
-        : ComputedTorque(model, gains, EstimateWeights(gains), model->n()), dt_(gains.gain("dt")), nodes_(gains.length("nodes"), joints()),
+        : Cloneable(model, gains, EstimateWeights(gains), model->n()), dt_(gains.gain("dt")), nodes_(gains.length("nodes"), joints()),
           feedback_(nodes_.rows() * joints(), 3 * joints()) {
         nodes_.set(gains.matrix(nodes_.rows(), joints(), "nodes"));
         copy(gains.shaped({nodes_.rows(), joints(), 3 * joints()}, "feedback"), feedback_.numbers());
@@ -28,8 +28,6 @@ public:
         }
         for (size_t i = 0; i < joints(); ++i) { further_memory()[i] += dt_ * growth_[i]; }
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     // The memory holds the acceleration of the integral, so that it remains where the node changes.

@@ -15,16 +15,19 @@ namespace armctl {
 //
 //     -tau_max <= M a + h <= tau_max,    -v_max <= v <= v_max,    q_min <= q <= q_max
 //
-// the torques at the first tick of each block, the others at its last one, for M and h of the motion that c = 0 gives. The
-// program of ComputedTorqueQP then keeps the limits of the tick itself, and brakes before the end of a joint's range.
-class MPC final : public ComputedTorqueQP {
+// the torques at the first tick of each block, the others at its last one, for M and h of the motion that c = 0 gives; and their
+// change from block to block, which is at most the torque rate times the time between. Where limits contradict each other, those
+// of velocity and position that c = 0 exceeds become costs. Without a solution the last plan goes on. The program of
+// ComputedTorqueQP then keeps the limits of the tick itself, and brakes before the end of a joint's range.
+class MPC final : public Cloneable<MPC, ComputedTorqueQP> {
 public:
     // The gains are those of ComputedTorqueQP, `blocks` (k,), the ticks of each block, at least 2, and `torque_rate` (n,) N m/s.
     MPC(const Model& model, const Arguments& gains)
-        : ComputedTorqueQP(model, gains, memory_size(model->n(), gains.length("blocks"))), period_(model),
+        : Cloneable(model, gains, memory_size(model->n(), gains.length("blocks"))), period_(model),
           torque_rate_(gains.limits(joints(), "torque_rate")),
           ticks_(gains.integers(gains.length("blocks"), "blocks").begin(), gains.integers(gains.length("blocks"), "blocks").end()),
-          solver_(size(), 3 * size()) {
+          rates_(std::ranges::any_of(torque_rate_, [](double rate) { return rate < unbounded; }) ? size() : 0),
+          solver_(size(), 3 * size() + rates_) {
         predict(gains.flag("continuous") ? 0.5 : 1.0);
     }
 
@@ -40,17 +43,17 @@ public:
         memory()[0] += 1.0;
     }
 
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
-
-    // Counts of ticks: all, those that needed a plan, and those without one.
+    // Counts of ticks: all, those that needed a plan, those without one, and those whose plan exceeds limits.
     Result counts() { return memory(0, counters); }
 
 private:
-    static constexpr size_t counters = 3;
+    static constexpr size_t counters = 4;
     static constexpr double joint_weight = 0.1;  // of c in the measure of the tip, as in ComputedTorqueQP; less bends the arm far
     // Limits of velocity and position that are farther away than this share of their range are not part of the program.
     static constexpr double near_limit = 0.15;
     static constexpr double tolerance = 1e-9;  // relative, of a limit
+    // Of limits that contradict others, relative to the cost of a c that would meet them: what remains of the violation is small.
+    static constexpr double violation_weight = 1e4;
 
     // Errors of a joint at a node, relative to those at the start or to a block's c.
     struct Response {
@@ -82,10 +85,11 @@ private:
         return result;
     }
 
-    static size_t memory_size(size_t n, size_t blocks) { return counters + n + n * blocks; }
+    static size_t memory_size(size_t n, size_t blocks) { return counters + n + n * blocks + 1; }
     size_t blocks() const { return ticks_.size(); }
     size_t size() const { return blocks() * joints(); }
-    Result c() { return memory(counters + joints(), size()); }  // of each block, from the last solution
+    Result c() { return memory(counters + joints(), size()); }        // of each block, from the last solution
+    double& age() { return memory()[counters + joints() + size()]; }  // ticks since that solution
 
     // The responses of errors, by the difference equation of a joint in closed loop, and the cost of c.
     void predict(double position_step) {
@@ -146,13 +150,28 @@ private:
             return;
         }
         memory()[1] += 1.0;
-        if (is_far || !solver_.solve(program(), c())) {
+        if (is_far) {
             memory()[2] += 1.0;
             std::ranges::fill(c(), 0.0);
             return;
         }
-        for (size_t i = 0; i < joints(); ++i) { desired_[i] += c()[i]; }
-        for (size_t i = 0; i < joints(); ++i) { tau[i] = dot(M_.row(i), c().first(joints()), tau[i]); }
+        if (solver_.solve(program(), c())) {
+            age() = 0.0;
+        } else if (solver_.solve(relaxed(), c())) {
+            memory()[3] += 1.0;
+            age() = 0.0;
+        } else {
+            memory()[2] += 1.0;
+            age() += 1.0;
+        }
+        for (size_t i = 0; i < joints(); ++i) {
+            added_[i] = 0.0;
+            for (size_t block = 0; block < blocks(); ++block) {
+                added_[i] += weight(block, static_cast<size_t>(age())) * c()[block * joints() + i];
+            }
+            desired_[i] += added_[i];
+        }
+        for (size_t i = 0; i < joints(); ++i) { tau[i] = dot(M_.row(i), added_, tau[i]); }
     }
 
     // Adds the rows of a node to the program: whether c = 0 exceeds a limit there.
@@ -186,6 +205,7 @@ private:
             period_.add_step_inertia(inertia_);
         }
         const size_t block = k / 2;
+        const Result last = memory(counters, n);
         bool is_limited = false;
         for (size_t i = 0; i < n; ++i) {
             const size_t row = block * 3 * n + i;
@@ -194,7 +214,23 @@ private:
                     const double acceleration = node.of_blocks[each].acceleration;
                     for (size_t j = 0; j < n; ++j) { rows_(row, each * n + j) = acceleration * inertia_(i, j); }
                 }
-                is_limited = set_bounds(row, -tau_max_[i] - tau_[i], tau_max_[i] - tau_[i]) || is_limited;
+                double lower = -tau_max_[i];
+                double upper = tau_max_[i];
+                if (rates_ > 0 && block == 0 && memory()[0] > 0.0) {
+                    lower = std::max(lower, last[i] - torque_rate_[i] * dt_);
+                    upper = std::min(upper, last[i] + torque_rate_[i] * dt_);
+                }
+                is_limited = set_bounds(row, lower - tau_[i], upper - tau_[i]) || is_limited;
+                if (rates_ > 0 && block > 0) {
+                    const size_t rate = 3 * size() + block * n + i;
+                    for (size_t column = 0; column < size(); ++column) {
+                        rows_(rate, column) = rows_(row, column) - rows_(row - 3 * n, column);
+                    }
+                    const double change = torque_rate_[i] * dt_ * static_cast<double>(ticks_[block - 1]);
+                    const double planned = tau_[i] - tau_before_[i];
+                    is_limited = set_bounds(rate, -change - planned, change - planned) || is_limited;
+                }
+                tau_before_[i] = tau_[i];
                 continue;
             }
             for (size_t each = 0; each < blocks(); ++each) {
@@ -228,6 +264,31 @@ private:
         return {.H = cost_, .f = no_cost_, .M = rows_, .lower = lower_, .upper = upper_};
     }
 
+    // The program with costs in the place of the bounds of velocity and position that exclude zero.
+    QuadraticProgram relaxed() {
+        const size_t n = joints();
+        relaxed_ = cost_;
+        std::ranges::fill(f_, 0.0);
+        for (size_t row = 0; row < 3 * size(); ++row) {
+            const double nearest = std::min(std::max(0.0, lower_[size() + row]), upper_[size() + row]);
+            if (row % (3 * n) < n || nearest == 0.0) { continue; }
+            double square = 0.0;
+            double cost = 0.0;
+            for (size_t column = 0; column < size(); ++column) {
+                square += rows_(row, column) * rows_(row, column);
+                cost = std::max(cost, cost_(column, column));
+            }
+            const double weight = violation_weight * cost / square;
+            for (size_t i = 0; i < size(); ++i) {
+                for (size_t j = 0; j < size(); ++j) { relaxed_(i, j) += weight * rows_(row, i) * rows_(row, j); }
+                f_[i] -= weight * nearest * rows_(row, i);
+            }
+            lower_[size() + row] = -unbounded;
+            upper_[size() + row] = unbounded;
+        }
+        return {.H = relaxed_, .f = f_, .M = rows_, .lower = lower_, .upper = upper_};
+    }
+
     // Whether the feedback of an error asks for more than the limit of velocity. The motion without c is then so far from any that
     // is possible that a linear model along it means nothing.
     bool approaches_too_fast() const {
@@ -241,12 +302,15 @@ private:
     Numbers torque_rate_;        // (n,) N m/s
     std::vector<size_t> ticks_;  // of each block
     std::vector<Node> nodes_;
+    size_t rates_;  // rows of the torque rate
     ActiveSetSolver solver_;
     DenseMatrix squares_{blocks(), blocks()};  // of the weights of two blocks, summed over the horizon
-    DenseMatrix inertia_ = square(), cost_{size(), size()}, rows_{3 * size(), size()};
+    DenseMatrix inertia_ = square(), cost_{size(), size()}, relaxed_ = cost_, rows_{3 * size() + rates_, size()};
     Numbers q_target_ = zeros(), v_target_ = zeros(), a_target_ = zeros();
-    Numbers error_ = zeros(), rate_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros(), v_ref_ = zeros(), a_ref_ = zeros(), tau_ = zeros();
-    Numbers no_cost_ = Numbers(size()), lower_ = Numbers(4 * size(), -unbounded), upper_ = Numbers(4 * size(), unbounded);
+    Numbers error_ = zeros(), rate_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros(), v_ref_ = zeros(), a_ref_ = zeros(), tau_ = zeros(),
+            tau_before_ = zeros(), added_ = zeros();
+    Numbers no_cost_ = Numbers(size()), f_ = no_cost_, lower_ = Numbers(4 * size() + rates_, -unbounded),
+            upper_ = Numbers(4 * size() + rates_, unbounded);
 };
 
 }  // namespace armctl

@@ -7,10 +7,10 @@ namespace armctl {
 // tau = ID(q, v, a_ref + J# (k_p e + k_d e_dot) + (1 - J# J) (k_p' (q_ref - q) + k_d' (v_ref - v)))
 //
 // J# is the dynamically consistent inverse, damped near singular configurations.
-class OperationalSpace final : public Law {
+class OperationalSpace final : public Cloneable<OperationalSpace> {
 public:
     OperationalSpace(const Model& model, const Arguments& gains)
-        : Law(model->n()), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
+        : Cloneable(model->n()), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
           posture_stiffness_(gains.gain("posture_stiffness")), posture_damping_(gains.gain("posture_damping")), task_(model, 6) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
@@ -32,8 +32,6 @@ public:
         task_.dynamics.add_linear_damping(error_rate_, tau);
         task_.dynamics.add_friction(v_ref, a_ref, tau);
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     double stiffness_;          // 1/s^2, of the tip

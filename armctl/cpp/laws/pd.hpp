@@ -6,10 +6,10 @@
 namespace armctl {
 
 // tau = stiffness (q_ref - q) + damping (v_ref - v)
-class PD final : public Law {
+class PD final : public Cloneable<PD> {
 public:
     explicit PD(const Arguments& gains) : PD(gains, gains.length("stiffness")) {}
-    PD(const Arguments& gains, size_t n) : Law(n), stiffness_(gains.gains(n, "stiffness")), damping_(gains.gains(n, "damping")) {}
+    PD(const Arguments& gains, size_t n) : Cloneable(n), stiffness_(gains.gains(n, "stiffness")), damping_(gains.gains(n, "damping")) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = feedback(i, state, setpoint.q[i], setpoint.v[i]); }
@@ -19,25 +19,21 @@ public:
         return stiffness_[i] * (q_ref - state.q[i]) + damping_[i] * (v_ref - state.v[i]);
     }
 
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
-
 private:
     Numbers stiffness_;  // (n,) N m/rad
     Numbers damping_;    // (n,) N m s/rad
 };
 
 // tau = ID(q_ref, v_ref, a_ref) + stiffness (q_ref - q) + damping (v_ref - v)
-class PDFeedforward final : public Law {
+class PDFeedforward final : public Cloneable<PDFeedforward> {
 public:
-    PDFeedforward(const Model& model, const Arguments& gains) : Law(model->n()), pd_(gains, model->n()), dynamics_(model) {}
+    PDFeedforward(const Model& model, const Arguments& gains) : Cloneable(model->n()), pd_(gains, model->n()), dynamics_(model) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         dynamics_.inverse_dynamics(setpoint.q, setpoint.v_tick, setpoint.a_tick, tau);
         dynamics_.add_friction(setpoint.v_tick, setpoint.a_tick, tau);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += pd_.feedback(i, state, setpoint.q[i], setpoint.v_tick[i]); }
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     PD pd_;
@@ -47,17 +43,15 @@ private:
 // tau = g(q) + stiffness (q_ref - q) + damping (v_ref - v)
 //
 // Source: Takegaki, Arimoto, "A new feedback method for dynamic control of manipulators" (1981).
-class PDGravity final : public Law {
+class PDGravity final : public Cloneable<PDGravity> {
 public:
-    PDGravity(const Model& model, const Arguments& gains) : Law(model->n()), pd_(gains, model->n()), dynamics_(model) {}
+    PDGravity(const Model& model, const Arguments& gains) : Cloneable(model->n()), pd_(gains, model->n()), dynamics_(model) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         dynamics_.gravity(state.q, gravity_);
         pd_.torque(state, setpoint, tau);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += gravity_[i]; }
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     PD pd_;

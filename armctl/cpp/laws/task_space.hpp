@@ -28,9 +28,8 @@ struct TaskSpace {
         const Pose reference = dynamics.tip();
         J_ref.set(dynamics.tip_jacobian());
         dynamics.locate(q);
-        const Pose measured = dynamics.tip();
         J.set(dynamics.tip_jacobian());
-        error = numbers({reference.translation - measured.translation, rotation_vector(measured.rotation, reference.rotation)});
+        error = numbers(difference(dynamics.tip(), reference));
         dynamics.mass_matrix(inertia);
         factorize(inertia);
         for (size_t k = 0; k < 6; ++k) {

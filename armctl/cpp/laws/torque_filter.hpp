@@ -30,11 +30,11 @@ struct Biquad {
 };
 
 // Filters as biquads in series, the same for all joints. They begin a run settled at its first torque.
-class TorqueFilter final : public LawAround {
+class TorqueFilter final : public Cloneable<TorqueFilter, LawAround> {
 public:
     // `sections` has rows of b0, b1, b2, a0 = 1, a1, a2, as in SciPy.
     TorqueFilter(const std::shared_ptr<Law>& filtered, const Arguments& gains)
-        : LawAround(filtered, 1 + 2 * gains.length("sections") * filtered->joints()) {
+        : Cloneable(filtered, 1 + 2 * gains.length("sections") * filtered->joints()) {
         const Matrix sections = gains.matrix(gains.length("sections"), 6, "sections");
         for (size_t k = 0; k < sections.rows; ++k) {
             const Vector row = sections.row(k);
@@ -57,8 +57,6 @@ public:
         }
         has_begun = 1.0;
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     std::vector<Biquad> sections_;

@@ -5,10 +5,10 @@
 namespace armctl {
 
 // The first torque of a run is not limited.
-class TorqueRateLimit final : public LawAround {
+class TorqueRateLimit final : public Cloneable<TorqueRateLimit, LawAround> {
 public:
     TorqueRateLimit(const std::shared_ptr<Law>& limited, const Arguments& gains)
-        : LawAround(limited, 1 + limited->joints()), max_change_(gains.limits(joints(), "tau_rate_max")) {
+        : Cloneable(limited, 1 + limited->joints()), max_change_(gains.limits(joints(), "tau_rate_max")) {
         const double dt = gains.gain("dt");
         for (double& change : max_change_) { change *= dt; }
     }
@@ -18,19 +18,11 @@ public:
         double& has_last_torque = own_memory()[0];
         const Result last = own_memory().subspan(1);
         for (size_t i = 0; i < tau.size(); ++i) {
-            if (has_last_torque != 0.0) {
-                if (tau[i] > last[i] + max_change_[i]) {
-                    tau[i] = last[i] + max_change_[i];
-                } else if (tau[i] < last[i] - max_change_[i]) {
-                    tau[i] = last[i] - max_change_[i];
-                }
-            }
+            if (has_last_torque != 0.0) { tau[i] = std::clamp(tau[i], last[i] - max_change_[i], last[i] + max_change_[i]); }
             last[i] = tau[i];
         }
         has_last_torque = 1.0;
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
     Numbers max_change_;  // (n,) N m, in one control period

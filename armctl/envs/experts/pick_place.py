@@ -6,8 +6,7 @@ import numpy as np
 
 from armctl.core.validation import Array
 from armctl.envs.batch import Batch
-from armctl.envs.experts.cartesian import CartesianExpert
-from armctl.envs.experts.interface import Command
+from armctl.envs.experts.interface import CartesianExpert, Command
 from armctl.envs.tasks.pick_place import PickPlace
 
 _LOWERING_SPEED = 0.2  # reaches per second
@@ -22,7 +21,6 @@ class PickPlaceExpert(CartesianExpert):
     """Moves above the object, lowers the open gripper, closes it, and carries the object to the goal."""
 
     def __init__(self, batch: Batch, row: int):
-        """A policy that waits for the start of an episode."""
         super().__init__(batch, row)
         task = batch.task
         assert isinstance(task, PickPlace)
@@ -31,13 +29,11 @@ class PickPlaceExpert(CartesianExpert):
         self._grasp = task.grasp
 
     def begin(self) -> None:
-        """Begins above the table, with an open gripper."""
         super().begin()
         self._phase = self._above
         self._opening = 1.0
 
     def next(self) -> Command:
-        """The next part of the way."""
         return Command(self._phase(), self._opening)
 
     def _around_object(self, height: float) -> Array:

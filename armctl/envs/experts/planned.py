@@ -38,13 +38,11 @@ class ReachExpert(Expert):
     _motion: JointTrajectory
 
     def begin(self) -> None:
-        """Plans the motion."""
         start = self.arm.limits.clamp(self.batch.rows.q[self.row])
         goal = solve_ik(self.arm, self.batch.goal[self.row].copy(), start)
         self._motion = move_j(self.arm, start, goal.q)
 
     def next(self) -> Command:
-        """Where the motion is at the end of the step."""
         return Command(self._motion((self.batch.steps[self.row] + 1) * self.batch.step_time).q)
 
 
@@ -66,7 +64,6 @@ class ReachPastExpert(Expert):
         self._motion, self._max_turns = next(solved, first)
 
     def next(self) -> Command:
-        """Where the motion is at the end of the step."""
         target = self.batch.rows.target[self.row]
         self._time = self._next_time(self._motion, self._max_turns, self._time, target)
         return Command(self._motion(self._time).q)
@@ -128,7 +125,6 @@ class TrackExpert(Expert):
     """Inverse kinematics of where the goal will be."""
 
     def begin(self) -> None:
-        """Notes where the joints are."""
         self._q = self.arm.limits.clamp(self.batch.rows.q[self.row])
 
     def next(self) -> Command:

@@ -6,8 +6,7 @@ import numpy as np
 
 from armctl.core.validation import Array
 from armctl.envs.batch import Batch
-from armctl.envs.experts.cartesian import CartesianExpert
-from armctl.envs.experts.interface import Command
+from armctl.envs.experts.interface import CartesianExpert, Command
 from armctl.envs.tasks.push import BEHIND, Push
 
 _PUSH_SPEED = 0.15  # reaches per second
@@ -34,7 +33,6 @@ class PushExpert(CartesianExpert):
     """
 
     def __init__(self, batch: Batch, row: int):
-        """A policy that waits for the start of an episode."""
         super().__init__(batch, row)
         task = batch.task
         assert isinstance(task, Push)
@@ -43,12 +41,10 @@ class PushExpert(CartesianExpert):
         self._distance = task.radius + task.table.tool.radius + BEHIND + task.table.reach_over(task.height)
 
     def begin(self) -> None:
-        """Begins above the table."""
         super().begin()
         self._phase = self._above
 
     def next(self) -> Command:
-        """The next part of the way."""
         return Command(self._phase())
 
     def _behind(self, height: float, distance: float) -> Array:

@@ -6,11 +6,9 @@ import numpy as np
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array
-from armctl.envs.grip import find_grip
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
-from armctl.envs.tasks.tool import find_tool, jaw_center
+from armctl.envs.tasks.tool import find_grip, find_tool, jaw_center
 from armctl.ik.problem import ik_chain
 
 _WIDTH_SHARE = 0.5  # of the object, of the open gripper
@@ -32,10 +30,6 @@ class PickPlace(Task):
 
     The table is where the tool can point down, by the reach of the arm. The object is an upright cylinder, half as wide as the
     open gripper.
-
-    Attributes:
-        height: m, of the object.
-        grasp: (3,) m, in the tip's frame, beside the line along which the tool points: the middle between the jaws.
     """
 
     name = "PickPlace"
@@ -45,15 +39,7 @@ class PickPlace(Task):
     uses_gripper = True
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task; the ticks of a step do not matter.
-
-        Args:
-            source: The robot, which is loaded among the objects.
-            ticks: Not used.
-
-        Raises:
-            InputError: The robot was loaded already, has no gripper, or its tool cannot point down over a table.
-        """
+        """The task; InputError if the robot was loaded already, has no gripper, or no place for a table."""
         alone = source.load()
         try:
             self.grip = find_grip(alone)
@@ -63,8 +49,9 @@ class PickPlace(Task):
         tool = find_tool(alone, [self.grip.closed, self.grip.opened])
         reach = ik_chain(alone).reach
         width = min(_WIDTH_SHARE * self.grip.width_max, _WIDTH_OF_REACH * reach, _MAX_WIDTH)
+        # (3,) m, in the tip's frame, beside the line along which the tool points: the middle between the jaws
         self.grasp = jaw_center(alone, self.grip, tool, _WIDTH_WHEN_AROUND * width)
-        self.height = max(_MIN_HEIGHT, 1.5 * width)
+        self.height = max(_MIN_HEIGHT, 1.5 * width)  # m, of the object
         mass = _DENSITY * np.pi * (0.5 * width) ** 2 * self.height
         lift = _TIP_HEIGHT + max(_LIFT * reach, 2.0 * self.height)
         margin = float(np.linalg.norm(self.grasp))

@@ -6,11 +6,9 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.envs.grip import find_grip
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
-from armctl.envs.tasks.tool import find_tool
+from armctl.envs.tasks.tool import find_grip, find_tool
 from armctl.ik.problem import ik_chain
 from armctl.robot.arm import Arm
 
@@ -33,10 +31,6 @@ class Push(Task):
 
     The table is where the tool can point down, by the reach of the arm. The object is an upright cylinder. A gripper
     is closed and braked.
-
-    Attributes:
-        radius: m, of the object.
-        height: m, of the object.
     """
 
     name = "Push"
@@ -45,24 +39,16 @@ class Push(Task):
     object = "object"
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task; the ticks of a step do not matter.
-
-        Args:
-            source: The robot, which is loaded among the objects.
-            ticks: Not used.
-
-        Raises:
-            InputError: The robot was loaded already, or its tool cannot point down over a table.
-        """
+        """The task; InputError if the robot was loaded already, or its tool cannot point down over a table."""
         alone = source.load()
         try:
             self.grip = find_grip(alone)
             tool = find_tool(alone, [self.grip.closed])
         except ModelError:  # no gripper
             tool = find_tool(alone, [_home(alone)])
-        self.radius = max(_RADIUS * ik_chain(alone).reach, _SHARE_OF_TOOL * tool.radius)
+        self.radius = max(_RADIUS * ik_chain(alone).reach, _SHARE_OF_TOOL * tool.radius)  # m, of the object
         margin = self.radius + tool.radius + BEHIND
-        self.height = min(_MAX_HEIGHT, _HEIGHT_SHARE * self.radius)
+        self.height = min(_MAX_HEIGHT, _HEIGHT_SHARE * self.radius)  # m, of the object
         lift = _TIP_HEIGHT + self.height + _CLEARANCE
         places = find_table(alone, tool, low=_TIP_HEIGHT, lift=lift, margin=margin, height=self.height, task=self.name)
         self.arm, self.table = load_at_table(source, places, Cylinder(self.radius, self.height, _MASS, _FRICTION), self.name)
@@ -80,7 +66,6 @@ class Push(Task):
 
 
 def _home(arm: Arm) -> mujoco.MjData:
-    """The state of an arm at home."""
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.home_qpos
     mujoco.mj_kinematics(arm.model, data)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armctl.envs.actions import target_limits
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.configurations import free_configurations
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
 
 _GOAL_SPREAD = 0.5  # rad (m), of all joints around home
 _GOALS = 2048
@@ -17,19 +15,16 @@ class Reach(Task):
     """Move the tip to a point, which is new in each episode.
 
     Goals are tips of configurations around home at which nothing touches, so the arm can reach each of them.
-
-    Attributes:
-        goal_q: (k, n) rad, configurations whose tips are the goals.
     """
 
     name = "Reach"
     instruction = "Move the tip to the target."
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task; the ticks of a step do not matter."""
         self.arm = source.load()
         limits = target_limits(self.arm)
         self.start_q = np.clip(self.arm.home, limits.q_min, limits.q_max)
+        # (k, n) rad, configurations whose tips are the goals
         self.goal_q = free_configurations(self.arm, _GOALS, _GOAL_SPREAD)
         self.goals = self.arm.fk_many(self.goal_q)[0][:, None]
 

@@ -9,9 +9,7 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.configurations import free_configurations
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
 from armctl.ik.problem import ik_chain
 from armctl.loading.scene import Scene
 from armctl.robot.arm import Arm
@@ -29,7 +27,6 @@ class _SceneWithBall(Scene):
     """A scene whose ball can be moved without a change of the model."""
 
     def build(self, spec: mujoco.MjSpec) -> None:
-        """Adds everything, and makes the ball a mocap body."""
         super().build(spec)
         next(body for body in spec.bodies if body.name == ReachPast.obstacle).mocap = True
 
@@ -47,15 +44,7 @@ class ReachPast(Task):
     obstacle = "obstacle"
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task; the ticks of a step do not matter.
-
-        Args:
-            source: The robot, which is loaded among the objects.
-            ticks: Not used.
-
-        Raises:
-            InputError: The robot was loaded already, or hardly any start and goal have the ball between them.
-        """
+        """The task; InputError if the robot was loaded already, or hardly any start and goal have the ball between them."""
         reach = ik_chain(source.load()).reach
         radius = _RADIUS * reach
         scene = _SceneWithBall().add_ball(self.obstacle, radius, [0.0, 0.0, -_AWAY * reach])

@@ -14,7 +14,7 @@ from armctl.core.errors import InputError
 from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
-from armctl.envs.source import ArmSource
+from armctl.envs.tasks.interface import ArmSource
 from armctl.envs.tasks.tool import Tool
 from armctl.ik.problem import ik_chain
 from armctl.ik.solve import solve_ik
@@ -38,27 +38,16 @@ _MAX_SCENES = 8  # that are built to look for contacts
 
 
 class Table(NamedTuple):
-    """A table in front of an arm.
+    """A table in front of an arm."""
 
-    Attributes:
-        center: (3,) m, of the area, on top of the table.
-        radius: m, of the area.
-        low: m, height of the end of the tool above the table when it works there.
-        lift: m, height of the end of the tool above the table when it moves.
-        tool: The tool, which points down.
-        tilt: rad, by which it points away from the base.
-        base: (2,) m, the place of the first joint.
-        q: (n,) rad, with the end of the tool above the center at its greatest height.
-    """
-
-    center: Array
-    radius: float
-    low: float
-    lift: float
-    tool: Tool
-    tilt: float
-    base: Array
-    q: Array
+    center: Array  # (3,) m, of the area, on top of the table
+    radius: float  # m, of the area
+    low: float  # m, height of the end of the tool above the table when it works there
+    lift: float  # m, height of the end of the tool above the table when it moves
+    tool: Tool  # the tool, which points down
+    tilt: float  # rad, by which it points away from the base
+    base: Array  # (2,) m, the place of the first joint
+    q: Array  # (n,) rad, with the end of the tool above the center at its greatest height
 
     def place(self, rng: np.random.Generator, height: float) -> Array:
         """(3,) m, a random point of the area, at a height above the table."""
@@ -79,19 +68,12 @@ class Table(NamedTuple):
 
 
 class Cylinder(NamedTuple):
-    """An upright cylinder.
+    """An upright cylinder."""
 
-    Attributes:
-        radius: m.
-        height: m.
-        mass: kg.
-        friction: Coefficient of friction, with everything.
-    """
-
-    radius: float
-    height: float
-    mass: float
-    friction: float
+    radius: float  # m
+    height: float  # m
+    mass: float  # kg
+    friction: float  # coefficient of friction, with everything
 
 
 class _SceneWithCylinder(Scene):
@@ -119,21 +101,11 @@ class _Place(NamedTuple):
 
 
 def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, height: float, task: str) -> Iterator[_Place]:
-    """Places for a table, the preferred ones first.
+    """Places for a table, the preferred ones first; InputError, with the name of the task, if there is none.
 
-    At each of them the tool can point down over all corners of the area, at both heights, and the arm moves there without
-    large turns of its joints.
-
-    Args:
-        arm: The arm alone.
-        low: m, height of the end of the tool above the table when it works there.
-        lift: m, height of the end of the tool above the table when it moves.
-        margin: m, around the area, in which the tool moves as well.
-        height: m, of an object beside the tool, at which a tilted tool needs room.
-        task: The name of the task, for the error.
-
-    Raises:
-        InputError: There is none.
+    At each of them the tool can point down over all corners of the area and a margin around it, with its end `low` and
+    `lift` above the table, and the arm moves there without large turns of its joints. A tilted tool needs room beside an
+    object of a height. Lengths are in m.
     """
     reach = ik_chain(arm).reach
     data = mujoco.MjData(arm.model)
@@ -168,13 +140,7 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
 def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinder, name: str) -> tuple[Arm, Table]:
     """The arm at the first place where it touches neither the table nor itself, with a cylinder on the table.
 
-    Args:
-        places: Candidates.
-        cylinder: The object.
-        name: The name of the task, for the error.
-
-    Raises:
-        InputError: There is no such place, or the robot was loaded already.
+    InputError if there is none, or the robot was loaded already.
     """
     for _, place in zip(range(_MAX_SCENES), places, strict=False):
         table = place.table

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from armctl.core.validation import Array
-from armctl.envs.grip import Grip, state_at
+from armctl.core.validation import Array, IntArray
 from armctl.mjmodel.queries import is_below
 from armctl.robot.arm import Arm
+from armctl.sim.gripper.model import GripperModel, find_gripper_model, make_usable
+from armctl.sim.plant import brake
 
 _MIN_OFFSET = 1e-3  # m, between the last joint and the tip: below it the joint's axis is where the tool points
 _ALONG_AXIS = 0.7  # cosine, above which the tool points along the last joint's axis
@@ -21,22 +23,66 @@ _ROUND = {int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mj
 _RING = np.array([[np.cos(a), np.sin(a), z] for a in np.arange(8) * np.pi / 4 for z in (-1.0, 1.0)])
 _MAX_TOOL = 0.5  # m from the tip
 _MAX_DISTANCE = 1.0  # m, up to which the distance of jaws is computed
+_SETTLE_TIME = 1.0  # s
+_PAD_SPEED = 0.1  # m/s, of the pads relative to each other
+
+
+class Grip(NamedTuple):
+    """The gripper behind an arm's tip."""
+
+    model: GripperModel  # the gripper as it was found in the MuJoCo model
+    qpos_adr: IntArray  # addresses in `MjData.qpos` of its joints
+    closed: mujoco.MjData  # the state of the arm at home when it is closed
+    opened: mujoco.MjData  # the state of the arm at home when it is open
+    indices: IntArray  # (2, actuators) of its actuators in `MjData.ctrl` and in `MjData.actuator_length`
+    ends: Array  # (4, actuators) the controls when closed and open, and the actuators' lengths when closed and open
+    speed: float  # 1/s, the fraction of the way from closed to open that its controls move in a second
+
+    @property
+    def width_max(self) -> float:
+        """The distance between the pads when open, m."""
+        return float(self.model.width[-1])
+
+
+def find_grip(arm: Arm) -> Grip:
+    """The gripper behind an arm's tip; ModelError if nothing moves there, or a hand of many actuators."""
+    gripper = find_gripper_model(arm)
+    actuators = list(gripper.actuators)
+    indices = np.array([arm.model.actuator_ctrladr[actuators], actuators], np.int64)
+    joints = np.unique(arm.model.dof_jntid[gripper.dofs])
+    return Grip(
+        model=gripper,
+        qpos_adr=arm.model.jnt_qposadr[joints].astype(np.int64),
+        closed=state_at(arm, gripper, gripper.ctrl[0]),
+        opened=state_at(arm, gripper, gripper.ctrl[-1]),
+        indices=indices,
+        ends=np.array([gripper.ctrl[0], gripper.ctrl[-1], gripper.length[0], gripper.length[-1]]),
+        speed=_PAD_SPEED / float(np.ptp(gripper.width)),
+    )
+
+
+def state_at(arm: Arm, gripper: GripperModel, ctrl: Array) -> mujoco.MjData:
+    """The state at home in which controls (actuators,) hold the gripper, without contacts and gravity."""
+    model = copy.copy(arm.model)
+    model.opt.gravity[:] = 0.0
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    brake(model, np.setdiff1d(np.arange(model.nv), gripper.dofs))
+    make_usable(model, gripper)
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.home_qpos
+    data.ctrl[model.actuator_ctrladr[list(gripper.actuators)]] = ctrl
+    mujoco.mj_step(model, data, round(_SETTLE_TIME / model.opt.timestep))
+    mujoco.mj_forward(model, data)
+    return data
 
 
 class Tool(NamedTuple):
-    """The end of an arm.
+    """The end of an arm."""
 
-    Attributes:
-        axis: "x", "y" or "z": the axis of the tip along which the tool points.
-        sign: 1 or -1, the direction on it.
-        overhang: m, how far the tool extends beyond the tip.
-        radius: m, how far the end of the tool extends to the sides of the tip.
-    """
-
-    axis: str
-    sign: float
-    overhang: float
-    radius: float
+    axis: str  # "x", "y" or "z": the axis of the tip along which the tool points
+    sign: float  # 1 or -1, the direction on it
+    overhang: float  # m, how far the tool extends beyond the tip
+    radius: float  # m, how far the end of the tool extends to the sides of the tip
 
     @property
     def end(self) -> Array:
@@ -57,13 +103,10 @@ class Tool(NamedTuple):
 
 
 def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
-    """The tool of an arm.
+    """The tool of an arm, in states such as those with the gripper closed and open.
 
     It points from the last joint to the tip: along the joint's axis if that is nearly the direction. If the tip is at the
     joint, it points along the axis to where the tool extends farther.
-
-    Args:
-        states: States of its model, after forward kinematics, such as with the gripper closed and open.
     """
     points = np.concatenate([_points(arm, data) for data in states] or [np.zeros((1, 3))])
     points = points[np.linalg.norm(points, axis=1) < _MAX_TOOL]

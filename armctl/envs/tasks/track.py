@@ -10,9 +10,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.configurations import free_configurations
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
 
 _PATHS = 128
 _CENTERS = 256
@@ -38,14 +36,7 @@ class Track(Task):
     moves_goal = True
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task.
-
-        Args:
-            ticks: Control periods of a step.
-
-        Raises:
-            InputError: The arm touches something on nearly all paths.
-        """
+        """The task, for steps of so many ticks; InputError if the arm touches something on nearly all paths."""
         self.arm = source.load()
         limits = target_limits(self.arm)
         self.start_q = np.clip(self.arm.home, limits.q_min, limits.q_max)

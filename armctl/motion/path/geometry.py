@@ -18,46 +18,32 @@ from armctl.core.pose import rotation_from_vector, rotation_vector
 from armctl.core.validation import Array
 
 TURN_RADIUS = 0.2  # m: what a radian of turning counts as
+_MIN_LENGTH = 1e-9  # m
 
 
 class PathPoint(NamedTuple):
-    """A place on a path.
+    """A place on a path."""
 
-    Attributes:
-        position: (3,) m.
-        rotation: (3, 3).
-        twist: (6,) how both change with the length: linear, then angular in world axes.
-    """
-
-    position: Array
-    rotation: Array
-    twist: Array
+    position: Array  # (3,) m
+    rotation: Array  # (3, 3)
+    twist: Array  # (6,) how both change with the length: linear, then angular in world axes
 
 
 class Shape(Protocol):
-    """One stretch of a tip's path."""
+    """One stretch of a tip's path: its length, m, and the place at a length."""
 
     @property
-    def length(self) -> float:
-        """Its length, m."""
-        ...
+    def length(self) -> float: ...
 
-    def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
-        ...
+    def at(self, s: float) -> PathPoint: ...
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """The tip's orientation from one to another about a fixed axis (spherical linear interpolation).
+    """The tip's orientation from one to another about a fixed axis (spherical linear interpolation)."""
 
-    Attributes:
-        start: (3, 3).
-        vector: (3,) rad, axis times angle, in world axes.
-    """
-
-    start: Array
-    vector: Array
+    start: Array  # (3, 3)
+    vector: Array  # (3,) rad, axis times angle, in world axes
 
     @classmethod
     def between(cls, start: Array, end: Array) -> Turn:
@@ -80,21 +66,14 @@ class Turn:
 
 @dataclass(frozen=True, eq=False)
 class Straight:
-    """A straight line.
+    """A straight line."""
 
-    Attributes:
-        start: (3,) m.
-        end: (3,) m.
-        turn: How the orientation changes along the path.
-    """
-
-    start: Array
-    end: Array
-    turn: Turn
+    start: Array  # (3,) m
+    end: Array  # (3,) m
+    turn: Turn  # how the orientation changes along the path
 
     @property
     def length(self) -> float:
-        """Its length, m."""
         return self._length
 
     @cached_property  # pyright does not accept one for the property of a protocol
@@ -102,7 +81,6 @@ class Straight:
         return max(float(np.linalg.norm(self.end - self.start)), self.turn.length)
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
         share = s / self._length
         return PathPoint(self.start + share * self._way, self.turn.at(share), self._twist)
 
@@ -117,21 +95,13 @@ class Straight:
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """An arc of a circle.
+    """An arc of a circle."""
 
-    Attributes:
-        start: (3,) m.
-        center: (3,) m.
-        axis: (3,) unit vector that it turns about.
-        angle: rad, how far.
-        turn: How the orientation changes along the path.
-    """
-
-    start: Array
-    center: Array
-    axis: Array
-    angle: float
-    turn: Turn
+    start: Array  # (3,) m
+    center: Array  # (3,) m
+    axis: Array  # (3,) unit vector that it turns about
+    angle: float  # rad, how far
+    turn: Turn  # how the orientation changes along the path
 
     @classmethod
     def through(cls, start: Array, via: Array, end: Array, angle: float | None, turn: Turn) -> Circle:
@@ -154,7 +124,6 @@ class Circle:
 
     @property
     def length(self) -> float:
-        """Its length, m."""
         return self._length
 
     @cached_property  # pyright does not accept one for the property of a protocol
@@ -162,7 +131,6 @@ class Circle:
         return max(self.angle * float(np.linalg.norm(self.start - self.center)), self.turn.length)
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
         share = s / self._length
         cos = math.cos(share * self.angle)
         sin = math.sin(share * self.angle)
@@ -176,3 +144,74 @@ class Circle:
         """From the center to the start, and to where a quarter of a turn leads."""
         radius = self.start - self.center
         return radius, np.cross(self.axis, radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Blend:
+    """A rounded corner: the one shape slows down to the corner while the next already leaves it, added up.
+
+    Inside it goes from a `radius` before the corner to a `radius` after it; at both ends it agrees with the shapes in position,
+    orientation and their first three derivatives.
+    """
+
+    before: Shape  # the shape that ends at the corner
+    after: Shape  # the shape that starts there
+    radius: float  # m, along both
+
+    @property
+    def length(self) -> float:
+        return 2 * self.radius
+
+    def at(self, s: float) -> PathPoint:
+        u = s / self.length
+        done, speed = _ease(u)
+        ahead, ahead_speed = _ease(1 - u)
+        a = self.before.at(self.before.length - self.radius * (1 - done))
+        b = self.after.at(self.radius * (1 - ahead))
+        corner = self.after.at(0.0)
+        turned = a.rotation @ corner.rotation.T
+        twist = a.twist * speed + np.concatenate([b.twist[:3], turned @ b.twist[3:]]) * ahead_speed
+        return PathPoint(a.position + b.position - corner.position, turned @ b.rotation, twist)
+
+
+@dataclass(frozen=True, eq=False)
+class SubPath:
+    """Part of a shape."""
+
+    shape: Shape
+    start: float  # m, where it begins on it
+    end: float  # m, where it ends
+
+    @property
+    def length(self) -> float:
+        return self.end - self.start
+
+    def at(self, s: float) -> PathPoint:
+        return self.shape.at(self.start + s)
+
+
+class CompositePath:
+    """Shapes one after another."""
+
+    def __init__(self, shapes: list[Shape]):
+        """Shapes, each of which starts where the one before it ends."""
+        self._shapes = [shape for shape in shapes if shape.length > _MIN_LENGTH]
+        self.ends = np.cumsum([shape.length for shape in self._shapes])
+
+    @property
+    def length(self) -> float:
+        return float(self.ends[-1]) if len(self.ends) else 0.0
+
+    def at(self, s: float) -> PathPoint:
+        k = min(int(np.searchsorted(self.ends, s, side="right")), len(self.ends) - 1)
+        shape = self._shapes[k]
+        return shape.at(min(s - (self.ends[k] - shape.length), shape.length))
+
+
+def _ease(u: float) -> tuple[float, float]:
+    """From 0 to 1 for u from 0 to 1, arriving at rest, and the speed: 1 at first in lengths of 2, three derivatives smooth.
+
+    The speed is 1 - S(u), S the quintic step 6 u^5 - 15 u^4 + 10 u^3.
+    """
+    step = u**3 * (10 + u * (6 * u - 15))
+    return 2 * u - u**4 * (5 + u * (2 * u - 6)), 1 - step

@@ -35,15 +35,10 @@ _CENTERINGS = (0.0, 2.0, 20.0)  # tried in turn: over the path, a free self-moti
 
 
 class JointPath(NamedTuple):
-    """Joint positions along a path, as a spline.
+    """Joint positions along a path, as a spline."""
 
-    Attributes:
-        spline: scipy's B-spline, (n,) rad over the length, m.
-        length: m.
-    """
-
-    spline: object
-    length: float
+    spline: object  # scipy's B-spline, (n,) rad over the length, m
+    length: float  # m
 
     def derivatives(self, s: Array) -> tuple[Array, Array, Array, Array]:
         """q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n), at lengths (T,) m."""
@@ -160,7 +155,6 @@ class _Tracker:
         return moved if arrived else None
 
     def _slope(self, q: Array, s: float) -> Array:
-        """How fast the joints move along the path, (n,) rad/m."""
         v = np.empty_like(q)
         self._follower.slope(q, self._place(s).twist[: self.rows], v)
         return v

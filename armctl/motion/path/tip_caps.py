@@ -23,18 +23,12 @@ _MAX_PART_TRAVEL = 0.01  # rad (m), of all joints together
 
 @dataclass(frozen=True, eq=False)
 class TipCaps:
-    """The greatest speeds of the tip along a path of the joints.
-
-    Attributes:
-        path: The path of its joints.
-        linear: m/s, of its point.
-        angular: rad/s, of its turning.
-    """
+    """The greatest speeds of the tip along a path of the joints."""
 
     arm: Arm
-    path: Path
-    linear: float
-    angular: float
+    path: Path  # the path of its joints
+    linear: float  # m/s, of its point
+    angular: float  # rad/s, of its turning
 
     @classmethod
     def of(cls, arm: Arm, path: Path, speed: float, tip_speed: float | None, tip_angular_speed: float | None) -> TipCaps | None:
@@ -92,7 +86,6 @@ class TipCaps:
         return twists
 
     def kept(self, motion: JointTrajectory) -> JointTrajectory:
-        """The motion, as much slower as the caps require."""
         most = float(self.overshoot(motion.pieces).max())
         if most <= 1.0:
             return motion

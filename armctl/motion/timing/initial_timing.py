@@ -22,9 +22,7 @@ class Path(Protocol):
     """A path of the joints, as a function of its length."""
 
     @property
-    def length(self) -> float:
-        """In whatever unit the path is measured in."""
-        ...
+    def length(self) -> float: ...  # in whatever unit the path is measured in
 
     def derivatives(self, s: Array) -> tuple[Array, Array, Array, Array]:
         """q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n), at lengths (T,)."""
@@ -32,17 +30,11 @@ class Path(Protocol):
 
 
 class Timing(NamedTuple):
-    """A motion along a path, sampled at the edges of equal intervals.
+    """A motion along a path, sampled at the edges of equal intervals."""
 
-    Attributes:
-        h: s, the length of an interval.
-        intervals: How many there are.
-        spline: scipy's spline of the length over time; None where the length is the time.
-    """
-
-    h: float
-    intervals: int
-    spline: object | None
+    h: float  # s, the length of an interval
+    intervals: int  # how many there are
+    spline: object | None  # scipy's spline of the length over time; None where the length is the time
 
     @property
     def edges(self) -> Array:

@@ -41,7 +41,6 @@ class JointState(NamedTuple):
 
 
 def at_rest(q: Array) -> JointState:
-    """The joints at rest at q (n,)."""
     zero = np.zeros_like(q)
     return JointState(q, zero, zero)
 
@@ -69,7 +68,6 @@ class Profile:
     __slots__ = ("_a_max", "_trajectory", "_v_max", "duration")
 
     def __init__(self, trajectory: ruckig.Trajectory, v_max: list[float], a_max: list[float]):
-        """A profile that ruckig found under these limits."""
         self._trajectory = trajectory
         self._v_max = v_max
         self._a_max = a_max
@@ -107,7 +105,6 @@ class Profile:
         return True
 
     def phases(self) -> Phases:
-        """The profile as phases of constant jerk."""
         profiles = self._trajectory.profiles[0]
         return Phases([(*p.brake.t, *p.t) for p in profiles], [(*p.brake.j, *p.j) for p in profiles])
 
@@ -129,7 +126,6 @@ class ProfileSolver:
     """Computes profiles of n joints with given limits. It holds ruckig's work space; no result depends on earlier calls."""
 
     def __init__(self, v_max: Array, a_max: Array, j_max: Array):
-        """For joints with these limits, each (n,)."""
         n = len(v_max)
         self.bounds = (v_max, a_max, j_max)
         self._n = n
@@ -142,7 +138,6 @@ class ProfileSolver:
 
     @classmethod
     def of(cls, limits: Limits) -> ProfileSolver:
-        """For an arm with these limits."""
         return cls(limits.v_max, limits.a_max, limits.j_max)
 
     def solve(self, start: JointState, goal: JointState, together: bool = True, shortest: float = 0.0) -> Profile | None:

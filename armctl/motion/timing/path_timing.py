@@ -153,20 +153,13 @@ def _tightened(problem: _Problem, timing: Timing, knots: Array | None = None) ->
 
 
 class _Places(NamedTuple):
-    """The nodes that cut a motion into pieces, and where the pieces lie in the intervals of a timing.
-
-    Attributes:
-        nodes: (N,) s.
-        interval: (N - 1,) of each piece.
-        begin: (N - 1,) the share of the interval at which it begins.
-        end: (N - 1,) and at which it ends.
-    """
+    """The nodes that cut a motion into pieces, and where the pieces lie in the intervals of a timing."""
 
     timing: Timing
-    nodes: Array
-    interval: IntArray
-    begin: Array
-    end: Array
+    nodes: Array  # (N,) s
+    interval: IntArray  # (N - 1,) of each piece
+    begin: Array  # (N - 1,) the share of the interval at which it begins
+    end: Array  # (N - 1,) and at which it ends
 
     @classmethod
     def of(cls, timing: Timing, nodes: Array) -> _Places:
@@ -179,47 +172,27 @@ class _Places(NamedTuple):
 
 
 class _Sampled(NamedTuple):
-    """A motion of the joints and, as the last column, of the length, at nodes, and the bounds on its speed there.
+    """A motion of the joints and, as the last column, of the length, at nodes, and the bounds on its speed there."""
 
-    Attributes:
-        places: The nodes.
-        q: (N, n + 1).
-        q1: (N, n + 1) first derivative.
-        q2: (N, n + 1) second.
-        q3_after: (N - 1, n + 1) third, at the start of each piece.
-        q3_before: (N - 1, n + 1) third, at the end of each piece.
-        b_max: (N,) greatest square of the path speed.
-        torques: Bounds on the torques, if there are any.
-    """
-
-    places: _Places
-    q: Array
-    q1: Array
-    q2: Array
-    q3_after: Array
-    q3_before: Array
-    b_max: Array
-    torques: TorqueRows | None
+    places: _Places  # the nodes
+    q: Array  # (N, n + 1)
+    q1: Array  # (N, n + 1) first derivative
+    q2: Array  # (N, n + 1) second
+    q3_after: Array  # (N - 1, n + 1) third, at the start of each piece
+    q3_before: Array  # (N - 1, n + 1) third, at the end of each piece
+    b_max: Array  # (N,) greatest square of the path speed
+    torques: TorqueRows | None  # bounds on the torques, if there are any
 
 
 class _Timed(NamedTuple):
-    """A motion at nodes, of the joints and behind them the length.
+    """A motion at nodes, of the joints and behind them the length."""
 
-    Attributes:
-        t: (N,) s.
-        q: (N, n + 1).
-        v: (N, n + 1).
-        a: (N, n + 1).
-        j_after: (N - 1, n + 1) jerk at the start of each piece.
-        j_before: (N - 1, n + 1) jerk at the end of each piece.
-    """
-
-    t: Array
-    q: Array
-    v: Array
-    a: Array
-    j_after: Array
-    j_before: Array
+    t: Array  # (N,) s
+    q: Array  # (N, n + 1)
+    v: Array  # (N, n + 1)
+    a: Array  # (N, n + 1)
+    j_after: Array  # (N - 1, n + 1) jerk at the start of each piece
+    j_before: Array  # (N - 1, n + 1) jerk at the end of each piece
 
     def pieces(self) -> Pieces:
         """The motion between the nodes: quintic from the states at both ends; short pieces from the jerk at both ends.
@@ -256,7 +229,6 @@ class _Problem:
         self._last: Array | None = None  # the last solution, to tighten from
 
     def sampled(self, places: _Places) -> _Sampled:
-        """The motion at nodes."""
         q, q1, q2, q3 = self._with_length(places.timing, places.nodes)
         # The third derivative jumps at knots: the value just before a node belongs to the piece that ends there.
         q3_before = self._with_length(places.timing, np.nextafter(places.nodes[1:], 0.0))[3]

@@ -10,41 +10,24 @@ from armctl.core.validation import Array, BoolArray, IntArray
 
 
 class TorqueRows(NamedTuple):
-    """Bounds of the form low <= alpha b'/2 + beta b + delta sqrt(b) <= high, each (T, r).
+    """Bounds of the form low <= alpha b'/2 + beta b + delta sqrt(b) <= high, each (T, r)."""
 
-    Attributes:
-        alpha: Of the change of the squared path speed.
-        beta: Of the squared path speed.
-        delta: Of the path speed.
-        low: Less than 0.
-        high: Greater than 0.
-    """
-
-    alpha: Array
-    beta: Array
-    delta: Array
-    low: Array
-    high: Array
+    alpha: Array  # of the change of the squared path speed
+    beta: Array  # of the squared path speed
+    delta: Array  # of the path speed
+    low: Array  # less than 0
+    high: Array  # greater than 0
 
 
 class Points(NamedTuple):
-    """Both ends of each piece, where the speed is bounded.
+    """Both ends of each piece, where the speed is bounded."""
 
-    Attributes:
-        interval: (P,) the interval.
-        node: (P,) the node.
-        is_first: (P,) whether no point before it is at the same node.
-        value: (P, 3) the weights of the interval's coefficients in b.
-        slope: (P, 3) in b'.
-        curvature: (3,) in b''.
-    """
-
-    interval: IntArray
-    node: IntArray
-    is_first: BoolArray
-    value: Array
-    slope: Array
-    curvature: Array
+    interval: IntArray  # (P,) the interval
+    node: IntArray  # (P,) the node
+    is_first: BoolArray  # (P,) whether no point before it is at the same node
+    value: Array  # (P, 3) the weights of the interval's coefficients in b
+    slope: Array  # (P, 3) in b'
+    curvature: Array  # (3,) in b''
 
 
 def points_of(h: float, interval: IntArray, begin: Array, end: Array) -> Points:
@@ -65,13 +48,10 @@ def points_of(h: float, interval: IntArray, begin: Array, end: Array) -> Points:
 def speed_bounds(
     points: Points, rows: TorqueRows, derivatives: tuple[Array, Array, Array], b_max: Array, j_max: Array
 ) -> dict[str, Array | IntArray]:
-    """The arguments of the compiled solver.
+    """The arguments of the compiled solver, for N nodes.
 
-    Args:
-        rows: The bounds of the N nodes on accelerations and torques, (N, r) each.
-        derivatives: The first and second derivatives of the joints at the nodes, (N, n), and the third at the points, (P, n).
-        b_max: (N,) the greatest squares of the path speed.
-        j_max: (N, n) the greatest jerks.
+    `derivatives` are the first and second of the joints at the nodes, (N, n), and the third at the points, (P, n). `b_max`
+    (N,) are the greatest squares of the path speed.
     """
     slope = _max_slope(rows, b_max)
     return {

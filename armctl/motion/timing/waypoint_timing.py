@@ -33,19 +33,12 @@ _REPAIR_FACTOR = 0.8  # by which a repair lowers velocity and acceleration at a 
 
 
 class Candidate(NamedTuple):
-    """A motion through the waypoints.
+    """A motion through the waypoints."""
 
-    Attributes:
-        v: (k, n) rad/s, the velocities there.
-        a: (k, n) rad/s^2, the accelerations there.
-        durations: (k - 1,) s, of each section.
-        excess: (k - 1, n) rad beyond the position limits in a section, negative inside.
-    """
-
-    v: Array
-    a: Array
-    durations: Array
-    excess: Array
+    v: Array  # (k, n) rad/s, the velocities there
+    a: Array  # (k, n) rad/s^2, the accelerations there
+    durations: Array  # (k - 1,) s, of each section
+    excess: Array  # (k - 1, n) rad beyond the position limits in a section, negative inside
 
 
 class WaypointSearch:
@@ -64,7 +57,6 @@ class WaypointSearch:
             bound[[0, -1]] = 0.0
 
     def stopping(self) -> Candidate:
-        """The motion that stops at every waypoint."""
         zero = np.zeros_like(self.q)
         candidate = self._evaluate(zero, zero)
         if candidate is not None:

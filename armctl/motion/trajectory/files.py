@@ -44,7 +44,6 @@ def checked_path(path: str | os.PathLike[str], suffix: str, other: str) -> Path:
 
 
 def save(path: str | os.PathLike[str], content: Content) -> Path:
-    """Writes a trajectory file."""
     file = checked_path(path, ".npz", "to_csv")
     with atomic_path(file) as temporary:
         np.savez(

@@ -29,17 +29,11 @@ _PLOT_SAMPLES = 1000
 
 @dataclass(frozen=True)
 class Slowdown:
-    """Where the motors made a motion slower than its limits on speed, acceleration and jerk allow.
+    """Where the motors made a motion slower than its limits on speed, acceleration and jerk allow."""
 
-    Attributes:
-        factor: How many times longer the motion takes.
-        joint: The joint that would have needed the largest share of its torque limit.
-        torque_ratio: That share.
-    """
-
-    factor: float
-    joint: str
-    torque_ratio: float
+    factor: float  # how many times longer the motion takes
+    joint: str  # the joint that would have needed the largest share of its torque limit
+    torque_ratio: float  # that share
 
     def __str__(self) -> str:
         return f"{self.factor:.3f} times longer, since {self.joint} would need {100 * self.torque_ratio:.0f} % of its torque"
@@ -132,9 +126,6 @@ class JointTrajectory:
 
         Returns:
             q, v, a, each (T, n).
-
-        Raises:
-            InputError: Not a list of finite numbers.
         """
         return Setpoint(*piecewise.sample(self.pieces, vector("times", times)))
 
@@ -146,9 +137,6 @@ class JointTrajectory:
 
         Returns:
             (T, n) rad/s^3; where it jumps, the value just after.
-
-        Raises:
-            InputError: Not a list of finite numbers.
         """
         return piecewise.jerk(self.pieces, vector("times", times))
 
@@ -157,9 +145,6 @@ class JointTrajectory:
 
         Args:
             limits: The limits; its own if left out.
-
-        Returns:
-            The check: whether the motion is inside, and each joint's extremes with their times.
 
         Raises:
             InputError: The limits are not `Limits`, or not those of n joints.
@@ -211,12 +196,6 @@ class JointTrajectory:
 
         Args:
             t: s.
-
-        Returns:
-            Its first part.
-
-        Raises:
-            InputError: The time is outside the motion.
         """
         t = number("t", t, 0.0, self.duration)
         k = max(1, int(np.searchsorted(self.knots, t, side="left")))
@@ -227,9 +206,6 @@ class JointTrajectory:
 
         Args:
             factor: Of the speed, greater than 0; 0.5 takes twice as long.
-
-        Returns:
-            The slower (or, where the limits allow it, faster) motion.
 
         Raises:
             InputError: The factor is not greater than 0.
@@ -246,9 +222,6 @@ class JointTrajectory:
 
         Args:
             other: A motion that starts as this one ends: same position, velocity and acceleration.
-
-        Returns:
-            Both in one.
 
         Raises:
             InputError: No such motion, other joints, or it starts elsewhere.

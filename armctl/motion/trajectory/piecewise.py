@@ -11,19 +11,15 @@ from armctl.core.errors import InputError
 from armctl.core.validation import Array, IntArray
 
 DEGREE = 5
+_MIN_OVERLAP_PIECE_S = 1e-9  # a knot that comes sooner after another one is left out
 _JOIN_TOLERANCE = 1e-6  # relative to a value of at least 1; generous, because a join need not start on the same bits
 
 
 class Pieces(NamedTuple):
-    """Polynomials over time: q(t) = sum over i of coefficients[k, i] (t - knots[k])^i in piece k.
+    """Polynomials over time: q(t) = sum over i of coefficients[k, i] (t - knots[k])^i in piece k."""
 
-    Attributes:
-        knots: (m + 1,) s, from 0.
-        coefficients: (m, 6, n).
-    """
-
-    knots: Array
-    coefficients: Array
+    knots: Array  # (m + 1,) s, from 0
+    coefficients: Array  # (m, 6, n)
 
 
 class Samples(NamedTuple):
@@ -97,7 +93,6 @@ def knots_of(durations: Array, begin: float = 0.0) -> Array:
 
 
 def time_scaled(pieces: Pieces, factor: float) -> Pieces:
-    """The same path `factor` times as fast."""
     powers = factor ** np.arange(DEGREE + 1)
     return Pieces(knots_of(np.diff(pieces.knots) / factor), pieces.coefficients * powers[:, None])
 
@@ -112,12 +107,40 @@ def shifted(coefficients: Array, by: Array) -> Array:
     return out
 
 
+def restarted(pieces: Pieces, inside: Array, starts: Array) -> Array:
+    """The polynomials of the pieces that contain the times `inside`, as polynomials of the time since `starts`."""
+    k = locate(pieces.knots, inside)[1]
+    return shifted(pieces.coefficients[k], starts - pieces.knots[k])
+
+
 def joined(parts: Sequence[Pieces]) -> Pieces:
     """Motions one after another; each must start in the state in which the one before it ends."""
     first = parts[0].knots
     others = np.concatenate([np.empty(0), *(np.diff(part.knots) for part in parts[1:])])
     knots = np.concatenate([first[:-1], knots_of(others, first[-1])])
     return Pieces(knots, np.concatenate([part.coefficients for part in parts]))
+
+
+def overlapped(first: Pieces, second: Pieces, overlap: float) -> Pieces:
+    """q(t) = first(t) + second(t - begin) - c, where c is the configuration at which the first ends and the second starts.
+
+    Both are at rest at c, so that the sum is continuous in position, velocity and acceleration.
+    """
+    end = float(first.knots[-1])
+    begin = end - overlap
+    total = begin + float(second.knots[-1])
+    inner = np.unique(np.concatenate([[0.0, end], first.knots, begin + second.knots]))
+    inner = inner[(inner >= 0.0) & (inner < total - _MIN_OVERLAP_PIECE_S)]
+    starts = inner[np.concatenate([[True], np.diff(inner) > _MIN_OVERLAP_PIECE_S])]
+    knots = np.append(starts, total)
+    middle = 0.5 * (knots[1:] + knots[:-1])
+    coefficients = np.zeros((len(starts), *first.coefficients.shape[1:]))
+    is_first = middle < end
+    is_second = middle > begin
+    coefficients[is_first] += restarted(first, middle[is_first], starts[is_first])
+    coefficients[is_second] += restarted(second, middle[is_second] - begin, starts[is_second] - begin)
+    coefficients[is_first & is_second, 0] -= second.coefficients[0, 0]
+    return Pieces(knots, coefficients)
 
 
 def join_gaps(end: Array, start: Array) -> Array:

@@ -43,7 +43,6 @@ def message(joint_names: Sequence[str], times: Array, samples: Samples) -> dict[
 
 
 def save(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
-    """Writes a message as .json or .yaml."""
     path = file_path("path", path, ENDINGS)
     if path.suffix == ".json":
         write_text(path, json.dumps(content) + "\n")

@@ -17,7 +17,7 @@ from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array, frozen, instance, number, vector
-from armctl.ik import solve_ik
+from armctl.ik.solve import solve_ik
 from armctl.mjmodel.queries import contact_forces, keyframe_names
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
@@ -49,6 +49,7 @@ class RealTimeSession:
         history: Errors and torques of the last seconds.
         keyframes: Names of the model's keyframes.
         gripper_width_max: Largest width of the gripper, m; None without a gripper.
+        hand: The velocity at which a hand moves the target now, m/s and rad/s in world axes; None if none does.
     """
 
     def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
@@ -70,6 +71,7 @@ class RealTimeSession:
         self._ticks = max(1, round(UPDATE_INTERVAL_S / self._stepper.dt))
         self._interval = self._ticks * self._stepper.dt
         self._follower = TargetFollower(arm, self._stepper.dt, Obstacles(arm, self._stepper.data))
+        self.hand: Callable[[], tuple[Array, Array] | None] = lambda: None
         self._speed_override = 1.0
         self._clock = RealTimeClock()
         self.history = History(arm.n, self._interval)
@@ -317,6 +319,7 @@ class RealTimeSession:
             command()
         if self._paused or self._standing_by or self._failure or self._stepper.failure:
             return False
+        self._follower.jog(self.hand(), self._interval * self._speed_override)
         reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)
         self._stepper.run(self._controller, reference, self._recorder())
         self._elapsed += self._interval
@@ -392,8 +395,11 @@ class RealTimeSession:
             return
         stepper.reset(arm.home, np.zeros(arm.n))
         has_target = find_target(stepper.model) is not None
-        start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip_pose(arm).position
-        self._follower.stand(arm.home, solve_ik(arm, start, arm.home).q)
+        tip = stepper.tip_pose(arm)
+        start = target_pose(stepper.model, stepper.data).position if has_target else tip.position
+        self._follower.stand(
+            arm.home, solve_ik(arm, Pose(start, quat=tip.quat), arm.home).q
+        )  # the tool is held as at home, if it can be
 
     def _rest_at(self, qpos: Array) -> None:
         """Puts the whole model at positions (nq,), at rest, with the target at the tip."""
