@@ -1,12 +1,12 @@
 """Seeds errors in the code, one at a time, and prints which share of them the tests find: `make mutants`.
 
-    python packaging/mutants.py [--count 200] [--seed 0] [--since REVISION] [SUBPACKAGE ...]
+    python packaging/mutants.py [--count 200] [--seed 0] [--seconds 40] [--since REVISION] [SUBPACKAGE ...]
 
 Each error is one changed operator or number, or a comparison or condition that is turned round. What cannot be observed, or
 only tunes a search, is left alone: texts, warnings, types, `__repr__`, caches, tolerances, thresholds of rounding, and named
 constants of modules. The error is made in a copy of the repository under build/, and tests run there until one fails: those of
 the subpackage, of which the ones that call the changed function come first, the quick ones before the slow ones, and others
-that call it, for TESTS_S in all. Which test calls which function is recorded once, in build/mutants.json. An error that no test
+that call it, for 40 s in all. Which test calls which function is recorded once, in build/mutants.json. An error that no test
 finds is printed: a test is missing, or it changes nothing that can be observed.
 
 Errors in C++ are compiled together as far as they are expressions within a line, each behind a switch that SEEDED_ERROR turns
@@ -16,9 +16,7 @@ on.
 from __future__ import annotations
 
 import argparse
-import ast
 import contextlib
-import copy
 import difflib
 import hashlib
 import importlib
@@ -35,12 +33,12 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
 import pytest
+from mutations import CXX_SWITCH, Mutant, cxx_mutants, python_mutants, switched
 
 ROOT = Path(__file__).resolve().parents[1]
 WORK = ROOT / "build" / f"mutants-{os.getpid()}"
@@ -49,7 +47,6 @@ RECORD = ROOT / "build" / "mutants.json"
 PRELOADED = ("scipy.optimize", "scipy.signal", "scipy.stats", "mujoco", "pinocchio", "matplotlib.pyplot", "mink")
 TIMEOUT_S = 600.0  # a test that hangs has found the error
 MEMORY_BYTES = 8 << 30  # an error that allocates without end must not take the computer's memory
-TESTS_S = 40.0  # of tests for one error, by the time they took when they were recorded, the quick ones first
 CXX = "cpp"
 # Tests of a subpackage beside tests/SUBPACKAGE: it is checked where it is used.
 MORE_TESTS = {"control": ["sim"], "robot": ["control", "motion"]}
@@ -66,178 +63,7 @@ CXX_TESTS = {
     "": ["robot", "control", "collision", "ik", "motion", "sim", "envs", "planning"],
 }
 DEFAULT = ["control", "robot", "ik", "motion", "collision", "design", "envs", CXX]
-# Functions and arguments of which nothing can be observed but a text, the speed, or an answer's last digits.
-SKIPPED_FUNCTIONS = ("__repr__", "__str__", "_repr_html_")
-SKIPPED_CALLS = re.compile(r"(^|\.)(warn|\w*Error)$")
-SKIPPED_ARGUMENTS = re.compile(r"\w*tol\w*|strict|stacklevel|maxsize|max_?iter\w*|copy|check_finite|overwrite_\w+|frozen|slots")
-ROUNDING = 1e-6  # smaller numbers are thresholds of rounding
-
-
-def both_ways(*pairs: tuple[Any, Any]) -> dict[Any, Any]:
-    """A table in which each of a pair leads to the other."""
-    return {one: other for pair in pairs for one, other in (pair, pair[::-1])}
-
-
-COMPARISONS = both_ways((ast.Lt, ast.GtE), (ast.LtE, ast.Gt), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn))
-OPERATORS = both_ways((ast.Add, ast.Sub), (ast.Mult, ast.Div)) | {ast.MatMult: ast.Mult, ast.Pow: ast.Mult}
-# Replaced in code lines of C++. A unary minus and templates do not match, for operators have blanks on both sides.
-CXX_PAIRS = [("+", "-"), ("*", "/"), ("<", ">="), ("<=", ">"), ("==", "!="), ("&&", "||"), ("+=", "-=")]
-CXX_CHANGES = both_ways(*((f" {one} ", f" {other} ") for one, other in CXX_PAIRS))
-CXX_NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(e-?\d+)?")
-CXX_SKIPPED = re.compile(r"^\s*(//|#|throw|template|using|namespace)|static_assert|InputError|operator|toleran|reserve\(")
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """A file with one error."""
-
-    file: Path  # relative to the root
-    line: int
-    function: str  # that has the error, as Python names it; empty for C++ and for code outside functions
-    text: str
-
-    def changed_line(self) -> str:
-        """The line with the error, if the error changes no other line."""
-        return self.text.splitlines(keepends=True)[self.line - 1]
-
-
-def changed(node: ast.AST) -> ast.AST | None:
-    """A copy of an expression with an error; None if there is none to make."""
-    new = copy.deepcopy(node)
-    match new:
-        case ast.Compare(ops=[operator]) if type(operator) in COMPARISONS:
-            new.ops = [COMPARISONS[type(operator)]()]
-        case ast.BinOp(op=operator) if type(operator) in OPERATORS:
-            new.op = OPERATORS[type(operator)]()
-        case ast.BoolOp(op=operator):
-            new.op = ast.Or() if isinstance(operator, ast.And) else ast.And()
-        case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
-            return operand
-        case ast.Constant(value=bool(value)):
-            new.value = not value
-        case ast.Constant(value=int(value) | float(value)) if not 0.0 < abs(value) < ROUNDING:
-            new.value = value + 1 if isinstance(value, int) else (1.5 * value if value else 1.0)
-        case ast.IfExp():
-            new.body, new.orelse = new.orelse, new.body
-        case _:
-            return None
-    return new
-
-
-def expressions(node: ast.AST, function: str = "") -> Iterator[tuple[ast.expr, str]]:
-    """All expressions that are computed and can be observed, each with the name of its function."""
-    match node:
-        case ast.Raise() | ast.Assert() | ast.JoinedStr():
-            return
-        case ast.Call(func=called) if SKIPPED_CALLS.search(ast.unparse(called)):
-            return
-        case ast.keyword(arg=str(name)) if SKIPPED_ARGUMENTS.fullmatch(name):
-            return
-        case ast.FunctionDef(name=name) if name in SKIPPED_FUNCTIONS:
-            return
-    if isinstance(node, ast.expr):
-        yield node, function
-    inside = function
-    if isinstance(node, ast.FunctionDef):
-        inside = f"{function}{node.name}.<locals>."
-    elif isinstance(node, ast.ClassDef):
-        inside = f"{function}{node.name}."
-    for name, value in ast.iter_fields(node):
-        if name in ("annotation", "returns", "decorator_list", "type_params"):
-            continue
-        for child in value if isinstance(value, list) else [value]:
-            if isinstance(child, ast.AST):
-                yield from expressions(child, inside if name == "body" else function)
-
-
-def python_mutants(file: Path) -> list[Mutant]:
-    """All mutants of a Python file."""
-    text = (WORK / file).read_text(encoding="utf-8")
-    source = text.encode()
-    lines = source.splitlines(keepends=True)
-    found = []
-    module = ast.parse(text)
-    module.body = [statement for statement in module.body if not isinstance(statement, ast.Assign | ast.AnnAssign)]
-    for node, function in expressions(module):
-        new = changed(node)
-        if new is None or node.end_lineno is None:
-            continue
-        start = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
-        end = sum(map(len, lines[: node.end_lineno - 1])) + (node.end_col_offset or 0)
-        mutated = source[:start] + f"({ast.unparse(new)})".encode() + source[end:]
-        name = function.removesuffix(".<locals>.") if function.endswith(".<locals>.") else ""
-        found.append(Mutant(file, node.lineno, name, mutated.decode()))
-    return found
-
-
-def cxx_mutants(file: Path) -> list[Mutant]:
-    """All mutants of a C++ file."""
-    lines = (WORK / file).read_text(encoding="utf-8").splitlines(keepends=True)
-    found = []
-    for number, line in enumerate(lines):
-        code = line.partition("//")[0]
-        if CXX_SKIPPED.search(line):
-            continue
-        spots = [
-            (match.start(), before, after)
-            for before, after in CXX_CHANGES.items()
-            for match in re.finditer(re.escape(before), code)
-        ]
-        spots += [
-            (match.start(), match[0], f"(1.5 * {match[0]} + 1e-3)")
-            for match in CXX_NUMBER.finditer(code)
-            if not 0.0 < float(match[0]) < ROUNDING
-        ]
-        for place, before, after in spots:
-            new = line[:place] + after + line[place + len(before) :]
-            text = "".join([*lines[:number], new, *lines[number + 1 :]])
-            found.append(Mutant(file, number + 1, "", text))
-    return found
-
-
-CXX_NO_CHOICE = re.compile(r"constexpr|static |\bcase |template|: public|#")
-# Where an expression of C++ begins and ends, beside brackets and commas.
-CXX_BEGIN = re.compile(r"(return|[{;(,]| [-+*/]?=) $")
-CXX_SWITCH = """#pragma once
-#include <cstdlib>
-inline const int seeded_error = [] { const char* text = std::getenv("SEEDED_ERROR"); return text ? std::atoi(text) : -1; }();
-"""
-
-
-def switched(before: str, after: str, number: int) -> str | None:
-    """A line of C++ that has an error only where SEEDED_ERROR is a number; None if its expression is not all in the line."""
-    if CXX_NO_CHOICE.search(before):
-        return None
-    same = common_length(before, after)
-    rest = min(common_length(before[::-1], after[::-1]), len(before) - same, len(after) - same)
-    back = expression_edge(before[:same][::-1], ")]}", "([{", True)
-    forward = expression_edge(before[len(before) - rest :], "([{", ")]}", False)
-    if back is None or forward is None:
-        return None
-    begin = same - back
-    end = len(before) - rest + forward
-    one, other = before[begin:end], after[begin : end + len(after) - len(before)]
-    return f"{before[:begin]}(seeded_error == {number} ? ({other}) : ({one})){before[end:]}"
-
-
-def common_length(one: str, other: str) -> int:
-    """The number of characters with which both texts begin."""
-    return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
-
-
-def expression_edge(text: str, opening: str, closing: str, backwards: bool) -> int | None:
-    """How far an expression extends in a text, which is read backwards or forwards; None if it extends to another line."""
-    depth = 0
-    for k, character in enumerate(text):
-        if character in opening:
-            depth += 1
-        elif character in closing:
-            depth -= 1
-            if depth < 0:
-                return k
-        elif depth == 0 and (character in ",;" or (backwards and CXX_BEGIN.search(text[k : k + 8][::-1]))):
-            return k
-    return None
+Record = dict[str, dict[str, Any]]
 
 
 def build_switched(mutants: list[Mutant]) -> list[Mutant]:
@@ -387,7 +213,7 @@ def prepare() -> None:
     )
 
 
-def read_record(subpackages: list[str]) -> dict[str, dict[str, Any]]:
+def read_record(subpackages: list[str]) -> Record:
     """The tests of subpackages and what they call; files of tests that are new or changed are run first."""
     folders = {*subpackages, *(folder for name in subpackages for folder in MORE_TESTS.get(name, []))}
     if CXX in folders:
@@ -419,7 +245,7 @@ def read_record(subpackages: list[str]) -> dict[str, dict[str, Any]]:
     return {test: row for file in stamps for test, row in known[file]["tests"].items()}
 
 
-def tests_of(mutant: Mutant, record: dict[str, dict[str, Any]]) -> list[str]:
+def tests_of(mutant: Mutant, record: Record, limit: float) -> list[str]:
     """The tests that judge a mutant: those of its subpackage that call its function, others that call it, others of it."""
     if mutant.file.suffix == ".py":
         subpackage = mutant.file.parts[1]
@@ -439,12 +265,12 @@ def tests_of(mutant: Mutant, record: dict[str, dict[str, Any]]) -> list[str]:
     tests = []
     for *_, duration, test in sorted(ranked):
         seconds += duration
-        if seconds < TESTS_S:
+        if seconds < limit:
             tests.append(test)
     return tests
 
 
-def is_found(mutant: Mutant, record: dict[str, dict[str, Any]]) -> bool:
+def is_found(mutant: Mutant, record: Record, limit: float) -> bool:
     """Whether a test, or the compiler, finds the error."""
     target = WORK / mutant.file
     original = target.read_text(encoding="utf-8")
@@ -453,7 +279,7 @@ def is_found(mutant: Mutant, record: dict[str, dict[str, Any]]) -> bool:
     try:
         if mutant.file.suffix != ".py" and build() is not None:
             return True
-        return tests_fail(mutant, record, None)
+        return tests_fail(tests_of(mutant, record, limit), None)
     finally:
         target.write_text(original, encoding="utf-8")
         forget_compiled(target)
@@ -465,9 +291,8 @@ def forget_compiled(file: Path) -> None:
         compiled.unlink()
 
 
-def tests_fail(mutant: Mutant, record: dict[str, dict[str, Any]], number: int | None) -> bool:
-    """Whether one of the tests of a mutant fails in the copy as it is, with an error of the core chosen by its number."""
-    tests = tests_of(mutant, record)
+def tests_fail(tests: list[str], number: int | None) -> bool:
+    """Whether a test fails in the copy as it is, with an error of the core chosen by its number."""
     files = dict.fromkeys(test.partition("::")[0] for test in tests)
     return run_pytest(["-x", *files], Order(tests), number) != 0
 
@@ -486,6 +311,7 @@ def main() -> int:
     parser.add_argument("subpackages", nargs="*", default=DEFAULT)
     parser.add_argument("--count", type=int, default=200, help="errors in all (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=40.0, help="of tests for one error (default: %(default)s)")
     parser.add_argument("--since", help="only files that changed since this revision of git")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the copy is removed, and no test goes on
@@ -494,7 +320,7 @@ def main() -> int:
     prepare()
     try:
         record = read_record(args.subpackages)
-        tally = seed_errors(args.subpackages, args.count, args.since, random.Random(args.seed), record)
+        tally = seed_errors(args, record)
     finally:
         shutil.rmtree(WORK)
     tally["all"] = [found for row in tally.values() for found in row]
@@ -504,30 +330,33 @@ def main() -> int:
     return 0
 
 
-def seed_errors(
-    subpackages: list[str], count: int, since: str | None, rng: random.Random, record: dict[str, dict[str, Any]]
-) -> dict[str, list[bool]]:
+def seed_errors(args: argparse.Namespace, record: Record) -> dict[str, list[bool]]:
     """Whether each of some random errors was found, by subpackage."""
+    rng = random.Random(args.seed)
     tally: dict[str, list[bool]] = {}
-    for k, subpackage in enumerate(sorted(subpackages, key=CXX.__eq__)):  # the last error in C++ remains compiled
+    for k, subpackage in enumerate(sorted(args.subpackages, key=CXX.__eq__)):  # the last error in C++ remains compiled
         make = cxx_mutants if subpackage == CXX else python_mutants
-        mutants = [mutant for file in files_of(subpackage, since) for mutant in make(file)]
-        share = count * (k + 1) // len(subpackages) - count * k // len(subpackages)
+        mutants = [
+            mutant
+            for file in files_of(subpackage, args.since)
+            for mutant in make(file, (WORK / file).read_text(encoding="utf-8"))
+        ]
+        share = args.count * (k + 1) // len(args.subpackages) - args.count * k // len(args.subpackages)
         chosen = rng.sample(mutants, min(share, len(mutants)))
         originals = {file: (WORK / file).read_text(encoding="utf-8") for file in {mutant.file for mutant in chosen}}
         together = build_switched(chosen) if subpackage == CXX else []
-        quick = Order(sorted(record, key=lambda test: record[test]["seconds"])[:100])
-        if together and run_pytest([test.partition("::")[0] for test in quick.place], quick):
+        quick = sorted(record, key=lambda test: record[test]["seconds"])[:100]
+        if together and tests_fail(quick, None):
             raise SystemExit(f"tests fail in a core without an error:\n{(WORK / 'output.txt').read_text()[-4000:]}")
         verdicts = tally.setdefault(subpackage, [])
         for number, mutant in enumerate(together):
-            verdicts.append(tests_fail(mutant, record, number))
+            verdicts.append(tests_fail(tests_of(mutant, record, args.seconds), number))
             print_verdict(mutant, originals[mutant.file], verdicts[-1])
         for file, text in originals.items():
             (WORK / file).write_text(text, encoding="utf-8")
         for mutant in chosen:
             if mutant not in together:
-                verdicts.append(is_found(mutant, record))
+                verdicts.append(is_found(mutant, record, args.seconds))
                 print_verdict(mutant, originals[mutant.file], verdicts[-1])
     return tally
 

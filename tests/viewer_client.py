@@ -51,14 +51,16 @@ def open_page(arms: Sequence[Arm] = (), scenes: Scenes | None = None, **options)
 class Client:
     """A WebSocket client of a page. It reads and forgets what the page sends."""
 
-    def __init__(self, page: Page, *, origin: str | None = "own", host: str | None = None, cookie: str | None = None):
+    def __init__(
+        self, page: Page, path: str = "", *, origin: str | None = "own", host: str | None = None, cookie: str | None = None
+    ):
         address = f"127.0.0.1:{page.port}"
         headers = {"Cookie": cookie} if cookie else {}
         self.connection = websockets.sync.client.connect(
-            f"ws://{host or address}",
+            f"ws://{host or address}{path}",
             sock=http.client.socket.create_connection(("127.0.0.1", page.port)),
             origin=f"http://{host or address}" if origin == "own" else origin,
-            subprotocols=[f"viser-v{viser.__version__}"],
+            subprotocols=None if path else [f"viser-v{viser.__version__}"],
             additional_headers=headers,
             max_size=None,
         )
@@ -70,9 +72,9 @@ class Client:
             while True:
                 self.connection.recv()
 
-    def send(self, message: dict | bytes) -> None:
+    def send(self, message: dict | bytes | str) -> None:
         """Sends a message."""
-        self.connection.send(message if isinstance(message, bytes) else msgspec.msgpack.encode(message))
+        self.connection.send(message if isinstance(message, bytes | str) else msgspec.msgpack.encode(message))
 
     def set(self, page: Page, label: str, value: object, **more: object) -> None:
         """Changes a control of the panel."""

@@ -1,4 +1,4 @@
-"""`armctl robot check HOST`: whether a robot, its model and the connection are fit for motions. Nothing moves."""
+"""`armctl robot check HOST`: whether robot, model and connection are fit for motions; `view`: a page that moves the robot."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _MODELS = {"franka": "fr3", "so101": "so101", "plant": "robot_arm_3dof"}
 
 
 def add(commands: common.Commands) -> None:
-    parser = common.add_command(commands, "robot", run, "check the connection to a robot: its model, its period, lost ticks")
-    parser.add_argument("action", choices=["check"], help="hold the position, and measure")
+    parser = common.add_command(commands, "robot", run, "check the connection to a robot, or move it by hand on a page")
+    parser.add_argument("action", choices=["check", "view"], help="check: hold the position, and measure; view: a page")
     parser.add_argument("host", help="address of a Franka, serial port of an SO-101, any word for a simulated plant")
     parser.add_argument("--link", choices=list(_MODELS), default="franka", help="which robot (default %(default)s)")
     parser.add_argument("--model", help="name or file of the model, by default that of the robot")
@@ -38,6 +38,11 @@ def run(args: argparse.Namespace) -> int:
 
     arm = load(args.model or _MODELS[args.link], tool=args.tool)
     with Robot(arm, _link(args, arm, payload), payload=payload) as robot:
+        if args.action == "view":
+            from armctl.viewer import view_robot
+
+            view_robot(robot)
+            return common.DONE
         check = robot.check(seconds)
     figures = {name: None if value != value else value for name, value in asdict(check).items()}  # JSON has no NaN
     common.print_result(args, str(check), figures, check.reason)

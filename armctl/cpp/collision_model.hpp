@@ -198,12 +198,8 @@ private:
 
     size_t common_frame(size_t a, size_t b) const {
         while (a != b) {
-            // Parents come before children.
-            if (a > b) {
-                a = frames[a].parent;
-            } else {
-                b = frames[b].parent;
-            }
+            size_t& later = a > b ? a : b;  // parents come before children
+            later = frames[later].parent;
         }
         return a;
     }

@@ -189,7 +189,6 @@ public:
         return distance(p, {.enough = clearance + STRICTLY_M, .touching = clearance}).lower <= clearance;
     }
 
-    // GJK in the frame of the first geom.
     DistanceBounds distance(size_t p, const DistanceGoal& goal) {
         const Geom& first = model_->geoms[model_->pairs[p].a];
         const Geom& second = model_->geoms[model_->pairs[p].b];
@@ -199,37 +198,24 @@ public:
         }
         const Pose relative = frames_[second.frame].pose.seen_from(frames_[first.frame].pose);
         const double inflation = first.inflation + second.inflation;
-        Vec3 v = first_direction(p);
         DistanceBounds bounds{-INFINITE_M, INFINITE_M};
         Simplex simplex;
-        for (int step = 0; step < MAX_GJK_STEPS; ++step) {
+        const auto is_decided = [&](Vec3 v, Vec3 support) {
             const double square = dot(v, v);
             const double length = std::sqrt(square);
-            const SupportPoint support = difference_support(p, v, relative);
-            const double projection = dot(v, support.difference);
+            const double projection = dot(v, support);
             if (projection / length - inflation > bounds.lower) {
                 bounds.lower = projection / length - inflation;
                 memory_[p].direction = v;
-                if (bounds.lower >= goal.enough) { return bounds; }
+                if (bounds.lower >= goal.enough) { return true; }
             }
-            if (simplex.size() > 0) {
-                bounds.upper = std::min(bounds.upper, length - inflation);
-                const bool is_between = bounds.lower > goal.touching && bounds.upper < goal.enough;
-                const bool is_decided = bounds.upper <= goal.touching || (!goal.is_exact && is_between);
-                const bool has_converged = square - projection <= GJK_RELATIVE_GAP * square || bounds.upper - bounds.lower < GJK_GAP_M;
-                if (is_decided || has_converged) { return bounds; }
-            }
-            if (simplex.contains(support.difference)) {  // no progress
-                bounds.upper = std::min(bounds.upper, length - inflation);
-                return bounds;
-            }
-            simplex.add(support);
-            const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
-            if (!closest || dot(*closest, *closest) < OVERLAP_M2) {  // the hulls overlap, not only their inflated shapes
-                return {bounds.lower, std::min(-inflation, OVERLAP_M)};
-            }
-            v = *closest;
-        }
+            if (simplex.size() == 0) { return false; }
+            bounds.upper = std::min(bounds.upper, length - inflation);
+            const bool is_between = bounds.lower > goal.touching && bounds.upper < goal.enough;
+            const bool has_converged = square - projection <= GJK_RELATIVE_GAP * square || bounds.upper - bounds.lower < GJK_GAP_M;
+            return bounds.upper <= goal.touching || (!goal.is_exact && is_between) || has_converged;
+        };
+        if (!closest_point(p, relative, simplex, is_decided)) { bounds.upper = std::min(-inflation, OVERLAP_M); }
         return bounds;
     }
 
@@ -333,6 +319,22 @@ private:
         return {first - relative * second, first};
     }
 
+    // GJK in the frame of the first geom, until a function of the closest point and of the support point against it says that
+    // this is enough, or there is no progress. Nothing where the hulls overlap, not only their inflated shapes.
+    template <class IsDecided>
+    std::optional<Vec3> closest_point(size_t p, const Pose& relative, Simplex& simplex, IsDecided is_decided) {
+        Vec3 v = first_direction(p);
+        for (int step = 0; step < MAX_GJK_STEPS; ++step) {
+            const SupportPoint support = difference_support(p, v, relative);
+            if (is_decided(v, support.difference) || simplex.contains(support.difference)) { break; }
+            simplex.add(support);
+            const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
+            if (!closest || dot(*closest, *closest) < OVERLAP_M2) { return std::nullopt; }
+            v = *closest;
+        }
+        return v;
+    }
+
     double plane_distance(size_t p) {
         const Geom& plane = model_->geoms[model_->pairs[p].a];
         const Geom& other = model_->geoms[model_->pairs[p].b];
@@ -427,27 +429,20 @@ private:
         return *found;
     }
 
-    // The witness of a pair without its radii, the second geom displaced in the world; nothing where it overlaps. GJK as in
-    // `distance`.
+    // The witness of a pair without its radii, the second geom displaced in the world; nothing where it overlaps.
     std::optional<Witness> witness_apart(size_t p, Vec3 displacement) {
         const Pose& pose = frames_[model_->geoms[model_->pairs[p].a].frame].pose;
         Pose relative = frames_[model_->geoms[model_->pairs[p].b].frame].pose.seen_from(pose);
         relative.translation += pose.rotation.inverse_times(displacement);
-        Vec3 v = first_direction(p);
         Simplex simplex;
-        for (int step = 0; step < MAX_GJK_STEPS; ++step) {
-            const SupportPoint support = difference_support(p, v, relative);
-            const double square = dot(v, v);
-            const bool has_converged = simplex.size() > 0 && square - dot(v, support.difference) <= WITNESS_GAP * square;
-            if (has_converged || simplex.contains(support.difference)) { break; }
-            simplex.add(support);
-            const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
-            if (!closest || dot(*closest, *closest) < OVERLAP_M2) { return std::nullopt; }
-            v = *closest;
-        }
-        const double length = norm(v);
+        const auto has_converged = [&](Vec3 v, Vec3 support) {
+            return simplex.size() > 0 && dot(v, v) - dot(v, support) <= WITNESS_GAP * dot(v, v);
+        };
+        const std::optional<Vec3> v = closest_point(p, relative, simplex, has_converged);
+        if (!v) { return std::nullopt; }
+        const double length = norm(*v);
         const Vec3 on_first = pose * simplex.witness_on_first();
-        const Vec3 direction = pose.rotation * Vec3{-v.x / length, -v.y / length, -v.z / length};
+        const Vec3 direction = pose.rotation * Vec3{-v->x / length, -v->y / length, -v->z / length};
         return Witness{length, direction, on_first, on_first};  // the other point is along the direction
     }
 

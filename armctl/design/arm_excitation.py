@@ -12,7 +12,7 @@ import numpy as np
 from armctl.collision.checkers import collision_checker
 from armctl.collision.clearance import clearance_of
 from armctl.core.errors import ArmctlWarning, LimitError, PlanError
-from armctl.core.validation import Array
+from armctl.core.validation import Array, IntArray
 from armctl.design.regressor import ArmRegressor, FrictionShape, pivoted_qr
 from armctl.motion.move_through import move_through
 from armctl.motion.torque_limits import check_torque
@@ -30,8 +30,8 @@ _SIZES = (1.0, 0.8, 0.6, 0.4)  # of the range around the start, in turn: wide se
 _MAX_DISTANCE = 1.5  # rad (m) from the start
 _MAX_OTHER_STARTS = 5
 _LIMIT_MARGIN = 0.05  # of a joint's range
-_TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
-_CLEARANCE_M = 0.005  # for the error of the controller
+TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
+CLEARANCE_M = 0.005  # for the error of the controller
 _SCORE_SAMPLES = 100
 _SMOOTHING_SPEED = 0.02  # rad/s, of Coulomb friction in the score
 _NOISE_SHARE = 2e-3  # of the torque limits, or of typical torques of joints without limits: noise of a sample in the score
@@ -39,18 +39,37 @@ _PATH_SAMPLES = 10  # between two configurations, for a first check for collisio
 
 
 @dataclass(frozen=True, eq=False)
+class Multisine:
+    """Where the measured periods of a motion are, and what they contain.
+
+    Attributes:
+        joints: The joints that move.
+        period: s.
+        starts: (M,) s, where a measured period begins, each with its own phases.
+        lines: The excited multiples of 1 / period, all odd.
+    """
+
+    joints: tuple[int, ...]
+    period: float
+    starts: Array
+    lines: IntArray
+
+
+@dataclass(frozen=True, eq=False)
 class Excitation(JointTrajectory):
     """A motion for identification, and how well it is conditioned.
 
     Attributes:
-        excites: "arm" or "payload".
+        excites: "arm", "payload" or "frequency".
         condition_number: Of the regressor of the parameters in question along the motion, with columns of equal length.
-        clearance: m, for an arm: the proved distance from everything during the whole motion.
+        clearance: m, for an arm and a frequency response: the proved distance from everything during the whole motion.
+        multisine: For a frequency response: its measured periods and frequencies.
     """
 
     excites: str = "payload"
     condition_number: float = float("nan")
     clearance: float = float("nan")
+    multisine: Multisine | None = None
 
 
 class _Score(NamedTuple):
@@ -101,7 +120,7 @@ def _other_starts(arm: Arm, checker: CollisionChecker, rng: np.random.Generator)
     found = 0
     for attempt in range(_TRIES):
         q = _waypoints(arm, arm.limits.clamp(arm.home), 1, (attempt + 1) / _TRIES, rng)[1]
-        if not checker.at(q, _CLEARANCE_M):
+        if not checker.at(q, CLEARANCE_M):
             found += 1
             yield q
         if found == _MAX_OTHER_STARTS:
@@ -117,7 +136,7 @@ def _from(
         PlanError: None is safe.
     """
     rng = np.random.default_rng(seed)
-    near = checker.at(start, _CLEARANCE_M)
+    near = checker.at(start, CLEARANCE_M)
     if near:
         raise PlanError(f"{arm.name:.80}: no motion from q = {np.round(start, 3)} is safe: {near:.200} within 5 mm")
     count = max(_MIN_CONFIGURATIONS, round(seconds / _SECONDS_PER_CONFIGURATION))
@@ -143,10 +162,10 @@ def _from(
             count += 1
         motion = fastest.scaled(factor)
         torque = check_torque(arm, motion)
-        if torque.ratio > _TORQUE_SHARE:
+        if torque.ratio > TORQUE_SHARE:
             reason = str(torque)
             continue
-        clearance = clearance_of(checker, motion, _CLEARANCE_M)
+        clearance = clearance_of(checker, motion, CLEARANCE_M)
         if not clearance:
             reason = clearance.reason
             continue

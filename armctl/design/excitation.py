@@ -1,4 +1,4 @@
-"""Excitation: a motion whose torques show the parameters of an arm, or a payload's mass and centre."""
+"""Excitation: a motion that shows the parameters of an arm, a payload's mass and centre, or a frequency response."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.limits import check_speed
 from armctl.core.validation import Array, choice, instance, number
-from armctl.design.arm_excitation import Excitation, arm_excitation, excitation_along
+from armctl.design.arm_excitation import TORQUE_SHARE, Excitation, arm_excitation, excitation_along
+from armctl.design.multisine import multisine_excitation
 from armctl.motion.move_through import move_through
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
@@ -22,7 +23,7 @@ from armctl.robot.dynamics import Dynamics
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
-_SPEEDS = {"arm": 0.9, "payload": 0.6}  # by default
+_SPEEDS = {"arm": 0.9, "payload": 0.6, "frequency": 0.9}  # by default
 _PAYLOAD_PARAMETERS = 4  # mass and first moment
 _MAX_PAYLOAD_KG = 1e6
 _SETS = 120  # of configurations, from which the motion is chosen
@@ -32,8 +33,8 @@ _MAX_FAILED_PLANS = 2  # for each size; more failures have their reason in the a
 _MAX_DISTANCE = 1.5  # rad (m) from home, for each joint
 _LIMIT_MARGIN = 0.05  # of a joint's range
 _REGULARIZATION = 1e-6  # of the information matrix, so that its determinant exists where a parameter is not shown
-_TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
 _SPEED_FACTORS = (1.0, 0.7, 0.5)  # tried one after another until the torques are small enough
+_SECONDS = 5.0  # by default
 _MIN_SECONDS = 1.0
 _MAX_SECONDS = 120.0
 _CONDITION_SAMPLES = 100
@@ -53,28 +54,32 @@ def excitation(
     arm: Arm,
     payload: float = 1.0,
     *,
-    seconds: float = 5.0,
+    seconds: float | None = None,
     for_: str = "payload",
     speed: float | None = None,
     seed: int = 0,
     start: ArrayLike | None = None,
+    joint: int | str | None = None,
 ) -> Excitation:
     """A motion for identification: from home, so that every joint moves and is loaded differently, and back.
 
     It keeps all limits, torque included, and touches nothing. For a payload it goes through random configurations, in the
     order in which their static torques tell mass and centre apart (the determinant of the information matrix). For the arm it
     is the most informative of several such motions, by the dynamic regressor of all base parameters, and a proof with 5 mm
-    of clearance covers the whole motion.
+    of clearance covers the whole motion. For a frequency response it is a multisine of all joints around one configuration,
+    with the same proof.
 
     Args:
         payload: kg, the largest mass that its tip may be holding; only for a payload.
-        seconds: s, the duration of a motion for the arm; one for a payload takes as long as it needs.
-        for_: "arm" for `identify`, "payload" for `identify_payload`.
-        speed: Fraction of the full speed, in (0, 1]; for the arm the largest that the motion may have. By default 0.6 for a
-            payload and 0.9 for the arm.
-        seed: Seed of the configurations.
-        start: (n,) rad, the first and last configuration of a motion for the arm. By default it is home. If no motion from
-            home is safe, armctl warns and takes another one, `motion(0.0).q`.
+        seconds: s, the duration of a motion for the arm, 5 by default, or for a frequency response, where a longer one has
+            narrower bounds; one for a payload takes as long as it needs.
+        for_: "arm" for `identify`, "payload" for `identify_payload`, "frequency" for `FrequencyResponse.from_log`.
+        speed: Fraction of the full speed, in (0, 1]; for the arm the largest that the motion may have, for a frequency
+            response that of the limits on acceleration and jerk. By default 0.6 for a payload, otherwise 0.9.
+        seed: Seed of the configurations or phases.
+        start: (n,) rad, the first and last configuration of a motion for the arm or a frequency response. By default it is
+            home. If no motion for the arm from home is safe, armctl warns and takes another one, `motion(0.0).q`.
+        joint: The only joint to move, by name or index, for a frequency response while all others are held; all by default.
 
     Returns:
         The motion, at rest at both ends, with its condition number.
@@ -87,15 +92,21 @@ def excitation(
     """
     check_arm(arm)
     payload = number("payload", payload, 0.0, _MAX_PAYLOAD_KG)
-    seconds = number("seconds", seconds, _MIN_SECONDS, _MAX_SECONDS)
-    for_ = choice("for_", for_, ("arm", "payload"))
+    for_ = choice("for_", for_, tuple(_SPEEDS))
+    if seconds is not None:
+        seconds = number("seconds", seconds, _MIN_SECONDS, _MAX_SECONDS)
     speed = check_speed(_SPEEDS[for_] if speed is None else speed)
     instance("seed", seed, (int, np.integer), "give an integer")
     number("seed", seed, 0)
-    if start is not None and for_ != "arm":
+    if start is not None and for_ == "payload":
         raise InputError("start: a motion for a payload starts at home; leave it out, or use for_='arm'")
+    if joint is not None and for_ != "frequency":
+        raise InputError("joint: a motion that identifies parameters moves all joints; leave it out, or use for_='frequency'")
+    begin = None if start is None else arm.checked("start", start)
+    if for_ == "frequency":
+        return multisine_excitation(arm, seconds, speed, int(seed), begin, joint)
     if for_ == "arm":
-        return arm_excitation(arm, seconds, speed, int(seed), None if start is None else arm.checked("start", start))
+        return arm_excitation(arm, _SECONDS if seconds is None else seconds, speed, int(seed), begin)
     motion = _payload_excitation(arm, payload, speed, int(seed))
     return excitation_along(motion, excites="payload", condition_number=_condition_number(arm, motion))
 
@@ -142,7 +153,7 @@ def _payload_excitation(arm: Arm, payload: float, speed: float, seed: int) -> Jo
 def _holding_check(loaded: Arm) -> Callable[[Array], bool]:
     """Whether the motors hold an arm still at a configuration, with some torque left."""
     dynamics = Dynamics(loaded.model, loaded.pinocchio_model)
-    bound = _TORQUE_SHARE * loaded.limits.tau_max
+    bound = TORQUE_SHARE * loaded.limits.tau_max
     return lambda q: bool((np.abs(dynamics.gravity(q)) + dynamics.friction_loss <= bound).all())
 
 
@@ -155,9 +166,9 @@ def _motion_through(
         return None, _COLLIDES
     for factor in _SPEED_FACTORS:
         motion = fastest.scaled(factor * speed)
-        if max(check_torque(each, motion).ratio for each in (arm, loaded)) < _TORQUE_SHARE:
+        if max(check_torque(each, motion).ratio for each in (arm, loaded)) < TORQUE_SHARE:
             return motion, ""
-    return None, f"it takes more than {100 * _TORQUE_SHARE:g} % of the torque limits on every path that was tried"
+    return None, f"it takes more than {100 * TORQUE_SHARE:g} % of the torque limits on every path that was tried"
 
 
 def _ranked_sets(arm: Arm, rng: np.random.Generator) -> list[_Set]:

@@ -1,25 +1,35 @@
-"""Frequency response: the sensitivity of one joint, measured in simulation with a multisine, beside its prediction."""
+"""Frequency response of one joint, from a recording or from a simulation with a multisine, beside its prediction."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import Controller, State, controller_name
-from armctl.core.errors import InputError
 from armctl.core.log import Log
+from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, IntArray, integer
-from armctl.design.linearization import loop_at
+from armctl.core.validation import Array, IntArray, choice
+from armctl.design.arm_excitation import Excitation
+from armctl.design.linearization import Linearizer
+from armctl.design.loop import Loop
+from armctl.design.multisine import joint_index
+from armctl.design.recorded_response import OF, bound_factor, recorded_response
 from armctl.design.state_space import ComplexArray
+from armctl.design.two_mass import TwoMass, fit_two_mass
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
 from armctl.sim.simulate import simulate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PERIOD_S = 2.0  # its inverse is the resolution in Hz
 _MEASURED_PERIODS = 6
@@ -47,19 +57,25 @@ _SEED = 0  # of the phases
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrequencyResponse:
-    """The sensitivity of one joint, measured and predicted. True if the measurement can be trusted.
+    """A frequency response of one joint, measured and predicted. True if the measurement can be trusted.
 
     Attributes:
-        ok: Whether both runs were complete, no motor was saturated, the coherence is at least 0.5 and the nonlinear share at
-            most 0.1 at every frequency.
+        ok: In simulation, whether both runs were complete, no motor was saturated, the coherence is at least 0.5 and the
+            nonlinear share at most 0.1 at every frequency. From a recording, whether the run was complete, no motor was
+            saturated, and the coherence is at least 0.5 at most frequencies.
         frequency: (k,) rad/s.
-        measured: (k,) complex, the sensitivity S_ii from the simulation.
-        predicted: (k,) complex, from the linear loop.
-        coherence: (k,) in [0, 1], the share of the measured torque that repeats with the excitation. Noise lowers it. Dry
-            friction does not: it distorts each period alike.
+        measured: (k,) complex.
+        predicted: (k,) complex, from the linear loop; NaN without one.
+        coherence: (k,) in [0, 1], the share of the measured signal that repeats with the excitation. Noise lowers it. In
+            simulation dry friction does not: it distorts each period alike. In a recording it does: phases change.
         nonlinear: (k,) the part of the measured torque that no linear loop explains, relative to it: what appears at
-            frequencies that are not excited, and what changes with the size of the excitation.
+            frequencies that are not excited, and what changes with the size of the excitation. Empty for a recording, whose
+            bounds contain it.
         reason: The reason if it is not ok; empty if it is.
+        of: What it is: "plant", the position (rad) per torque (N m) while the other joints are free; "closed loop", the
+            position per reference; "sensitivity", the torque of the motor per disturbance torque.
+        bound: (k,) the radius around `measured` in which the true response is with a probability of 95 %.
+        dt: s, the interval between samples.
     """
 
     ok: bool
@@ -70,24 +86,139 @@ class FrequencyResponse:
     coherence: Array
     nonlinear: Array
     reason: str
+    of: str = "sensitivity"
+    bound: Array = field(default_factory=lambda: np.zeros(0))
+    dt: float = 0.0
 
     def __bool__(self) -> bool:
         return self.ok
+
+    @classmethod
+    def from_log(
+        cls,
+        log: Log,
+        motion: Excitation,
+        joint: int | str,
+        of: str = "plant",
+        *,
+        loop: Loop | None = None,
+        positions: ArrayLike | None = None,
+    ) -> FrequencyResponse:
+        """Measures a frequency response from a recording of a multisine, whatever controller or servo moved the arm.
+
+        All joints move at once with orthogonal phases, so the responses of all joints to all torques follow, and from them that
+        of one. The motion itself is the instrument: noise in positions and torques causes no bias. Bounds follow from what
+        changes between periods with different phases: noise, transients and nonlinear distortion (the robust method of
+        Pintelon and Schoukens, System Identification: A Frequency Domain Approach (2012), 4.3.1). All joints drift slowly in
+        measured periods, so that dry friction is constant, and what all periods share is subtracted.
+
+        Args:
+            log: A recording that begins with the motion: positions, and torques of the motors or commands, or both. The plant
+                then includes the delay from command to motor.
+            motion: By `excitation(arm, for_="frequency")`.
+            joint: The joint's name, or its index from the base.
+            of: "plant", "closed loop" or "sensitivity", as the attribute; without torques only "closed loop".
+            loop: By `linearize`, for the prediction; a sensitivity needs the law in it.
+            positions: (T, n) rad, measured positions, if those in the log are others: a simulation records those of links.
+
+        Returns:
+            Measurement with bounds, and prediction, up to 80 Hz or 0.4 of the Nyquist frequency.
+
+        Raises:
+            InputError: An argument is of another kind, the log is too short or has another interval, or torques are missing.
+        """
+        of = choice("of", of, OF)
+        index = joint_index(log.joint_names, joint)
+        found = recorded_response(log, motion, index, of, loop, positions)
+        reason = log.failure or _recording_doubt(log, found.coherence)
+        return cls(
+            ok=not reason,
+            joint=log.joint_names[index],
+            frequency=found.frequency,
+            measured=found.measured,
+            predicted=found.predicted,
+            coherence=found.coherence,
+            nonlinear=np.zeros(0),
+            reason=reason,
+            of=of,
+            bound=found.bound,
+            dt=log.dt,
+        )
 
     @property
     def error(self) -> Array:
         """(k,) the difference of measurement and prediction, relative to the prediction."""
         return np.abs(self.measured - self.predicted) / np.abs(self.predicted)
 
+    def two_mass(self) -> TwoMass:
+        """Fits a motor and a link with a spring between them to the response of a plant.
+
+        Returns:
+            Inertias, spring, delay, resonance and antiresonance; not ok, with a reason, if the response shows no spring.
+
+        Raises:
+            InputError: It is no response of a plant.
+        """
+        return fit_two_mass(self)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
+        """Draws magnitude and phase, with bounds and prediction.
+
+        Args:
+            path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window
+                opens.
+
+        Raises:
+            InputError: The path has another ending.
+            ArmctlError: The file cannot be written.
+            NotInstalledError: There is no screen for a window.
+        """
+        return finish_figure(lambda figure: _draw(figure, self), (9, 4.6), path)
+
     def __str__(self) -> str:
         if not self.ok:
             return f"{self.joint}: {self.reason}"
-        return (
-            f"{self.joint}: |S| at most {np.abs(self.measured).max():.3f} measured, "
-            f"{np.abs(self.predicted).max():.3f} predicted; "
-            f"relative difference {np.median(self.error):.1e} median, {self.error.max():.1e} maximum; "
-            f"coherence at least {self.coherence.min():.4f}, nonlinear share at most {self.nonlinear.max():.1e}"
-        )
+        if self.of != "sensitivity":
+            hertz = self.frequency / (2 * np.pi)
+            relative = self.bound / np.abs(self.measured)
+            return (
+                f"{self.joint}, {self.of}: {len(hertz)} frequencies from {hertz[0]:.3g} to {hertz[-1]:.3g} Hz, bounds of 95 % "
+                f"at {np.median(relative):.1e} of the magnitude (median), coherence {np.median(self.coherence):.3f}"
+            )
+        parts = [f"{self.joint}: |S| at most {np.abs(self.measured).max():.3f} measured"]
+        if np.isfinite(self.predicted).all():
+            parts[0] += f", {np.abs(self.predicted).max():.3f} predicted"
+            parts.append(f"relative difference {np.median(self.error):.1e} median, {self.error.max():.1e} maximum")
+        parts.append(f"coherence at least {self.coherence.min():.4f}")
+        if len(self.nonlinear):
+            parts[-1] += f", nonlinear share at most {self.nonlinear.max():.1e}"
+        return "; ".join(parts)
+
+
+_LABELS = {"plant": "position per torque, rad/(N m)", "closed loop": "position per reference", "sensitivity": "|S|"}
+
+
+def _draw(figure: Figure, found: FrequencyResponse) -> None:
+    """Magnitude and phase over frequency."""
+    magnitude, phase = figure.subplots(2, 1, sharex=True)
+    hertz = found.frequency / (2 * np.pi)
+    size = np.abs(found.measured)
+    angle = np.unwrap(np.angle(found.measured))
+    spread = np.arcsin(np.clip(found.bound / size, 0.0, 1.0))
+    low = np.maximum(size - found.bound, 1e-3 * size)
+    magnitude.fill_between(hertz, low, size + found.bound, color=COLORS[0], alpha=0.25, linewidth=0)
+    magnitude.loglog(hertz, size, color=COLORS[0], marker=".", label="measured, with bounds of 95 %")
+    phase.fill_between(hertz, *np.degrees([angle - spread, angle + spread]), color=COLORS[0], alpha=0.25, linewidth=0)
+    phase.plot(hertz, np.degrees(angle), color=COLORS[0], marker=".")
+    if np.isfinite(found.predicted).all():
+        turns = np.unwrap(np.angle(found.predicted / found.measured)) + angle
+        magnitude.loglog(hertz, np.abs(found.predicted), color=COLORS[1], label="predicted")
+        phase.plot(hertz, np.degrees(turns), color=COLORS[1])
+    magnitude.set_title(_LABELS[found.of])
+    magnitude.legend()
+    phase.set_title("phase, deg")
+    phase.set_xlabel("frequency, Hz")
+    figure.suptitle(f"{found.joint}, {found.of}", fontweight="bold", x=0.01, ha="left")
 
 
 class Excited:
@@ -134,7 +265,7 @@ def frequency_response(
         plant: How the simulated arm differs from the model; by default it does not.
 
     Returns:
-        Measurement, prediction, coherence and nonlinear share at 60 frequencies or fewer.
+        Measurement with bounds, prediction, coherence and nonlinear share at 60 frequencies or fewer.
 
     Raises:
         InputError: An argument has a wrong type, length or value.
@@ -147,8 +278,8 @@ def frequency_response(
     law = read_controller(controller, arm)
     q = arm.checked("q", q)
     plant = read_plant(plant)
-    index = _joint_index(arm, joint)
-    loop = loop_at(arm, law, q, plant)
+    index = joint_index(arm.joint_names, joint)
+    loop = Linearizer(arm, plant).loop_at(law, q)
     ticks = round(_PERIOD_S / loop.dt)
     lines = _lines(ticks)
     frequency = np.asarray(2 * np.pi * lines / (ticks * loop.dt), dtype=np.float64)
@@ -176,7 +307,16 @@ def frequency_response(
     nonlinear = np.sqrt(change + np.maximum(run.distortion, larger.distortion)) / np.abs(run.response)
     reason = _doubt(frequency, run.coherence, nonlinear)
     return FrequencyResponse(
-        not reason, arm.joint_names[index], frequency, run.response, predicted, run.coherence, nonlinear, reason
+        ok=not reason,
+        joint=arm.joint_names[index],
+        frequency=frequency,
+        measured=run.response,
+        predicted=predicted,
+        coherence=run.coherence,
+        nonlinear=nonlinear,
+        reason=reason,
+        bound=np.sqrt(bound_factor(_MEASURED_PERIODS - 1) * run.variance),
+        dt=loop.dt,
     )
 
 
@@ -242,12 +382,15 @@ def _doubt(frequency: Array, coherence: Array, nonlinear: Array) -> str:
     return ""
 
 
-def _joint_index(arm: Arm, joint: int | str) -> int:
-    if isinstance(joint, str):
-        if joint not in arm.joint_names:
-            raise InputError(f"joint: {arm.name} has no joint {joint!r:.80}; it has {', '.join(arm.joint_names):.200}")
-        return arm.joint_names.index(joint)
-    return integer("joint", joint, 0, arm.n - 1)
+def _recording_doubt(log: Log, coherence: Array) -> str:
+    """What speaks against a recording; empty if nothing does."""
+    if (np.abs(log.tau_cmd) > log.tau_max).any():
+        return "a motor reached its torque limit"
+    if log.contacts:
+        return f"the arm touched {log.contacts[0].other:.80}"
+    if np.median(coherence) < _MIN_COHERENCE:
+        return f"the coherence is {np.median(coherence):.2f} (median); record a larger or longer motion"
+    return ""
 
 
 def _settling_periods(spectral_radius: float, ticks: int) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from armctl.core.errors import LinkError
 from armctl.core.log import Log
 from armctl.core.validation import Array
 from armctl.links.link import Link, Seen, check_link
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
 
 _CLEARANCE_SAMPLES = 200
 
@@ -39,33 +42,6 @@ class Rehearsal:
     clearance: float
     refusal: str = ""
 
-    @classmethod
-    def of(cls, log: Log, checker: Any) -> Rehearsal:
-        """The figures of a log.
-
-        Args:
-            log: Of a dry run.
-            checker: A collision checker of the arm; None for no clearance.
-        """
-        v = np.diff(log.q_ref, axis=0) / log.dt
-        a = np.diff(v, axis=0) / log.dt
-        j = np.diff(a, axis=0) / log.dt
-        tips = np.linalg.norm(np.diff(log.tip_ref, axis=0), axis=1) / log.dt
-        clearance = np.inf
-        if checker is not None and len(log):
-            some = np.unique(np.linspace(0, len(log) - 1, _CLEARANCE_SAMPLES).astype(int))
-            clearance = min((d for pair, d in map(checker.nearest, log.q_ref[some]) if pair >= 0), default=np.inf)
-        return cls(
-            rows=len(log),
-            duration=len(log) * log.dt,
-            speed=_peak(v),
-            acceleration=_peak(a),
-            jerk=_peak(j),
-            tip_speed=_peak(tips),
-            clearance=float(clearance),
-            refusal=log.failure,
-        )
-
     def __str__(self) -> str:
         if self.refusal:
             return self.refusal
@@ -74,6 +50,33 @@ class Rehearsal:
             f"{self.rows} rows, {self.duration:.2f} s, joints {self.speed:.3g} rad/s, {self.acceleration:.3g} rad/s^2, "
             f"{self.jerk:.3g} rad/s^3, tip {self.tip_speed:.3g} m/s, {near}"
         )
+
+
+def rehearsal_of(log: Log, checker: CollisionChecker | None) -> Rehearsal:
+    """The figures of a log.
+
+    Args:
+        log: Of a dry run.
+        checker: A collision checker of the arm; None for no clearance.
+    """
+    v = np.diff(log.q_ref, axis=0) / log.dt
+    a = np.diff(v, axis=0) / log.dt
+    j = np.diff(a, axis=0) / log.dt
+    tips = np.linalg.norm(np.diff(log.tip_ref, axis=0), axis=1) / log.dt
+    clearance = np.inf
+    if checker is not None and len(log):
+        some = np.unique(np.linspace(0, len(log) - 1, _CLEARANCE_SAMPLES).astype(int))
+        clearance = min((d for pair, d in map(checker.nearest, log.q_ref[some]) if pair >= 0), default=np.inf)
+    return Rehearsal(
+        rows=len(log),
+        duration=len(log) * log.dt,
+        speed=_peak(v),
+        acceleration=_peak(a),
+        jerk=_peak(j),
+        tip_speed=_peak(tips),
+        clearance=float(clearance),
+        refusal=log.failure,
+    )
 
 
 def _peak(values: Array) -> float:

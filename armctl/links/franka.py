@@ -113,7 +113,7 @@ class Franka:
         """Begins a stream of joint positions."""
         client = _client()
         try:
-            self._control = self._robot.start_joint_position_control(client.ControllerMode.JointImpedance)
+            self._control = self._opened().start_joint_position_control(client.ControllerMode.JointImpedance)
         except _errors(client) as error:
             raise LinkError(str(error)) from None
         self._is_first = True
@@ -122,7 +122,7 @@ class Franka:
         """The next tick."""
         client = _client()
         try:
-            state, period = self._control.readOnce()
+            state, period = self._stream().readOnce()
         except _errors(client) as error:
             self._control = None
             raise LinkError(str(error)) from None
@@ -133,10 +133,10 @@ class Franka:
     def send(self, q: Array, last: bool) -> None:
         """Sends the row of a tick."""
         client = _client()
-        command = client.JointPositions(q.tolist())
-        command.motion_finished = last
+        command = client.JointPositions(vector("q", q, 7).tolist())
+        command.motion_finished = flag("last", last)
         try:
-            self._control.writeOnce(command)
+            self._stream().writeOnce(command)
         except _errors(client) as error:
             self._control = None
             raise LinkError(str(error)) from None
@@ -148,7 +148,7 @@ class Franka:
         client = _client()
         self._control = None
         try:
-            self._robot.automatic_error_recovery()
+            self._opened().automatic_error_recovery()
         except _errors(client) as error:
             raise LinkError(f"recover: {error}") from None
 
@@ -173,12 +173,20 @@ class Franka:
         self._hand = None
         self._robot = None
 
-    def _state(self) -> Any:
+    def _opened(self) -> Any:
         if self._robot is None:
             raise LinkError(f"{self.host}: the link is not open; give it to an armctl.Robot")
+        return self._robot
+
+    def _stream(self) -> Any:
+        if self._control is None:
+            raise LinkError(f"{self.host}: no stream is open; call start() first")
+        return self._control
+
+    def _state(self) -> Any:
         client = _client()
         try:
-            return self._robot.read_once()
+            return self._opened().read_once()
         except _errors(client) as error:
             raise LinkError(f"{self.host}: {error}") from None
 

@@ -42,25 +42,6 @@ class LinkCheck:
     def __bool__(self) -> bool:
         return self.ok
 
-    @classmethod
-    def of(cls, drive: LinkDrive, tip_difference: float, times: Array, lost: int) -> LinkCheck:
-        """The check of a drive that held its position.
-
-        Args:
-            drive: The drive, after it held.
-            tip_difference: m.
-            times: (m,) s, of the readings.
-            lost: How many ticks.
-        """
-        periods = np.diff(times)
-        reason = drive.failure
-        if not reason and lost > _MAX_LOST_SHARE * (len(times) + lost):
-            reason = (
-                f"{lost} of {len(times) + lost} ticks were lost; end other programs, or use a kernel with real-time priority"
-            )
-        median, p99 = np.quantile(periods, [0.5, 0.99]) if len(periods) else (np.nan, np.nan)
-        return cls(not reason, reason, drive.description, tip_difference, len(times), lost, float(median), float(p99))
-
     def __str__(self) -> str:
         tip = "the robot does not tell its tip"
         if not np.isnan(self.tip_difference):
@@ -70,3 +51,20 @@ class LinkCheck:
             f"{self.robot}: {tip}; {self.readings} readings, period {1e3 * self.period:.3f} ms "
             f"(99 %: {1e3 * self.period_p99:.3f} ms), {self.lost} ticks lost: {verdict}"
         )
+
+
+def link_check_of(drive: LinkDrive, tip_difference: float, times: Array, lost: int) -> LinkCheck:
+    """The check of a drive that held its position.
+
+    Args:
+        drive: The drive, after it held.
+        tip_difference: m.
+        times: (m,) s, of the readings.
+        lost: How many ticks.
+    """
+    periods = np.diff(times)
+    reason = drive.failure
+    if not reason and lost > _MAX_LOST_SHARE * (len(times) + lost):
+        reason = f"{lost} of {len(times) + lost} ticks were lost; end other programs, or use a kernel with real-time priority"
+    median, p99 = np.quantile(periods, [0.5, 0.99]) if len(periods) else (np.nan, np.nan)
+    return LinkCheck(not reason, reason, drive.description, tip_difference, len(times), lost, float(median), float(p99))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from armctl.control import ComputedTorque
 from armctl.core.errors import LinkError
 from armctl.core.trajectory import TickReference
-from armctl.core.validation import Array, flag, instance, integer
+from armctl.core.validation import Array, flag, instance, integer, vector
 from armctl.links.envelope import Envelope
 from armctl.links.link import Seen
 from armctl.links.model_check import base_pose
@@ -67,7 +67,7 @@ class PlantLink:
             envelope: What its maker would publish; by default the limits of the program's arm count.
             payload: kg that it is set to; None if it has no such setting.
             real_time: Whether its time is the clock's, in a process of its own; otherwise it runs as fast as it can.
-            record: A file for the rows that it is sent, in binary float64: the time, s, and n positions.
+            record: A file for the rows that it is sent, in binary float64: the time of its tick, s, and n positions.
 
         Raises:
             InputError: An argument of another type, or a negative number.
@@ -151,10 +151,13 @@ class PlantLink:
         """Takes the row of a tick."""
         if self._fault:
             raise LinkError(self._fault)
+        q = vector("q", q, self._arm.n)
+        last = flag("last", last)
+        self._simulation()
         self.sent += 1
         if self._record is not None:
-            self._record.write(np.append(time.monotonic(), q).tobytes())
-        self._told = np.array(q)
+            self._record.write(np.append(self.dt * (self._tick + 1), q).tobytes())
+        self._told = q
         self._waiting.append((self._tick + 1 + self._lag, self._told))
         if last:
             self._streaming = False

@@ -20,12 +20,12 @@ from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint, Trajectory
 from armctl.core.validation import Array, flag, number
-from armctl.links.dry_run import DryRun, Rehearsal
+from armctl.links.dry_run import DryRun, rehearsal_of
 from armctl.links.envelope import envelope_of
 from armctl.links.hand import Hand
 from armctl.links.host import LinkHost
 from armctl.links.link import Link, check_link
-from armctl.links.link_check import LinkCheck
+from armctl.links.link_check import LinkCheck, link_check_of
 from armctl.links.link_drive import LinkDrive
 from armctl.links.model_check import model_refusal, tip_difference
 from armctl.links.process import RemoteHost
@@ -167,7 +167,7 @@ class Robot(Commands):
         difference = np.nan if T_base_tip is None else tip_difference(self.arm, self._host.read().q, T_base_tip)
         lost = self._drive.lost
         times = self._drive.hold(seconds)
-        return LinkCheck.of(self._drive, difference, times, self._drive.lost - lost)
+        return link_check_of(self._drive, difference, times, self._drive.lost - lost)
 
     def close(self) -> None:
         """Brakes if something moves, and disconnects. Leaving a `with` block does the same."""
@@ -271,7 +271,7 @@ class Robot(Commands):
     def _rehearsed(self, log: Log) -> Log:
         """Prints and keeps the figures of a dry run."""
         if isinstance(self.link, DryRun):
-            rehearsal = Rehearsal.of(log, self._obstacles.checker())
+            rehearsal = rehearsal_of(log, self._obstacles.checker())
             self.link.rehearsals.append(rehearsal)
             print(rehearsal)
         return log

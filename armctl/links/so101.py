@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armctl.core.errors import InputError, LinkError
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array, IntArray, vector
 from armctl.links.envelope import Envelope, envelope_of
 from armctl.links.link import Seen
 from armctl.links.servo_bus import ServoBus
@@ -135,11 +135,13 @@ class SO101:
 
     def start(self) -> None:
         """Begins a stream."""
+        self._open_bus()
         self._due = time.monotonic()
         self._behind_since[:] = np.inf
 
     def wait(self) -> tuple[int, Seen]:
         """The next tick."""
+        self._open_bus()
         ticks = 1
         self._due += self.dt
         late = time.monotonic() - self._due
@@ -154,8 +156,9 @@ class SO101:
 
     def send(self, q: Array, last: bool) -> None:
         """Sends the row of a tick."""
+        q = vector("q", q, len(_JOINTS))
         self._write(np.rint((q - self._q_middle) * (_COUNTS / (2.0 * np.pi)) + self._middle).astype(np.int64))
-        self._told = np.array(q)
+        self._told = q
 
     def recover(self) -> None:
         """Takes the present positions as goals. A servo that has switched itself off keeps its fault until the power is cut."""

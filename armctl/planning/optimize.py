@@ -14,10 +14,10 @@ from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import torque_shares
 from armctl.core.trajectory import check_motion
 from armctl.core.validation import Array, instance, integer, number
-from armctl.motion import JointTrajectory
 from armctl.motion.checks import planning_arm
 from armctl.motion.move_through import through_waypoints
 from armctl.motion.torque_limits import InverseDynamics, within_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.path import CLEARANCE_M, FreeSpace
 from armctl.robot.arm import Arm
 
@@ -59,8 +59,8 @@ class OptimizedMotion:
         ok: Whether the motion has a smaller cost than the given one.
         reason: Why not; empty if it has.
         motion: The best proved motion: the given one if no better one was found.
-        before: The measures of the given motion.
-        after: Those of the best one.
+        before: What the given motion has.
+        after: What the best one has.
         cost: The weighted mean of the measures, relative to those of the given motion; 1 without a gain.
         clearance: The proof of the best motion.
         evaluations: How many motions were timed.

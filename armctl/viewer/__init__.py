@@ -2,5 +2,6 @@
 
 from armctl.viewer.native import view_natively
 from armctl.viewer.page import view
+from armctl.viewer.robot_page import view_robot
 
-__all__ = ["view", "view_natively"]
+__all__ = ["view", "view_natively", "view_robot"]

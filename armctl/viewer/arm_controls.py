@@ -25,6 +25,7 @@ class ArmControls:
         arm = session.arm
         self.session = session
         self.session.stand_by(True)
+        self.session.hand = lambda: scene.devices.velocity
         self._scene = scene
         self._node = server.scene.add_frame(root, show_axes=False)
         status = self.session.status

@@ -16,6 +16,7 @@ import io
 import logging
 import socket
 import threading
+from importlib.resources import files
 from typing import Any
 
 import viser
@@ -25,6 +26,7 @@ from websockets.http11 import Request, Response
 
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.viewer.access_control import AccessControl, add_security_headers
+from armctl.viewer.devices import PATH, HandDevices
 from armctl.viewer.message_filter import MAX_MESSAGE_BYTES, MessageFilter
 
 LOCAL = "127.0.0.1"
@@ -114,11 +116,17 @@ class _UnsharedServer(viser.ViserServer):
 
 
 class PageServer:
-    """viser's server with the connections that it serves."""
+    """viser's server with the connections that it serves.
 
-    def __init__(self, server: viser.ViserServer, connections: _Connections):
+    Attributes:
+        viser: viser's server.
+        devices: What the visitors' keyboards, gamepads and SpaceMice ask for.
+    """
+
+    def __init__(self, server: viser.ViserServer, connections: _Connections, devices: HandDevices):
         """Use `start_server`."""
         self.viser = server
+        self.devices = devices
         self._connections = connections
 
     def stop(self) -> None:
@@ -137,6 +145,7 @@ def start_server(listener: socket.socket, access: AccessControl, title: str) -> 
     """
     messages = MessageFilter()
     connections = _Connections()
+    devices = HandDevices()
     address = (LOCAL, int(listener.getsockname()[1]))
     unprotected_serve = websockets.asyncio.server.serve
     calls: list[str] = []
@@ -147,7 +156,8 @@ def start_server(listener: socket.socket, access: AccessControl, title: str) -> 
         calls.append("serve")
         options.update(_options(messages, connections))
         checked = _checked(process_request, access, title)
-        return unprotected_serve(_counted(handler, access, connections), sock=listener, process_request=checked, **options)
+        counted = _counted(handler, access, connections, devices)
+        return unprotected_serve(counted, sock=listener, process_request=checked, **options)
 
     with _start_lock, contextlib.redirect_stdout(io.StringIO()):  # viser prints a table
         setattr(websockets.asyncio.server, "serve", serve)  # noqa: B010 (for the type checker, a class is not a variable)
@@ -157,13 +167,13 @@ def start_server(listener: socket.socket, access: AccessControl, title: str) -> 
             setattr(websockets.asyncio.server, "serve", unprotected_serve)  # noqa: B010
     if calls != ["serve"]:
         listener.close()
-        PageServer(server, connections).stop()
+        PageServer(server, connections, devices).stop()
         raise NotInstalledError(f"armctl cannot protect the page of viser {viser.__version__}; install viser 1.1")
     loop = server.get_event_loop()
     loop.call_soon_threadsafe(loop.set_exception_handler, _ErrorLog())
     # viser has no public way from the id in a message to the control.
     messages.inputs = server.gui._gui_input_handle_from_uuid
-    return PageServer(server, connections)
+    return PageServer(server, connections, devices)
 
 
 def _options(messages: MessageFilter, connections: _Connections) -> dict[str, Any]:
@@ -179,6 +189,8 @@ def _options(messages: MessageFilter, connections: _Connections) -> dict[str, An
             super().connection_lost(exc)
 
         async def recv(self, decode: bool | None = None) -> Any:
+            if _is_for_devices(self):
+                return await super().recv(decode)
             while True:
                 message = messages.checked(await super().recv(decode))
                 if message is not None:
@@ -194,14 +206,18 @@ def _options(messages: MessageFilter, connections: _Connections) -> dict[str, An
     }
 
 
-def _counted(handler, access: AccessControl, connections: _Connections):
+def _is_for_devices(connection: ServerConnection) -> bool:
+    return connection.request is not None and connection.request.path == PATH
+
+
+def _counted(handler, access: AccessControl, connections: _Connections, devices: HandDevices):
     async def handle(connection: ServerConnection) -> None:
         connections.requests.pop(connection, None)
         if not access.add_client(connection):
             await connection.close(_TOO_MANY_CLIENTS)
             return
         try:
-            await handler(connection)
+            await (devices.serve if _is_for_devices(connection) else handler)(connection)
         finally:
             access.remove_client(connection)
 
@@ -228,9 +244,10 @@ def _checked(process_request, access: AccessControl, title: str):
 
 
 def _styled(page: bytes, title: str, *, compressed: bool) -> bytes:
-    """viser's page with a title and a style of its own."""
+    """viser's page with a title, a style and a script of its own."""
     plain = gzip.decompress(page) if compressed else page
-    head = f"<title>{html.escape(title)}</title><style>{_STYLE}</style>"
+    script = files("armctl.viewer").joinpath("devices.js").read_text(encoding="utf-8")
+    head = f"<title>{html.escape(title)}</title><style>{_STYLE}</style><script>{script}</script>"
     styled = plain.replace(b"<title>Viser</title>", head.encode(), 1)
     return gzip.compress(styled, _GZIP_LEVEL) if compressed else styled
 

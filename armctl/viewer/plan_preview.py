@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.sim.realtime.target_follower import PATH_POINTS, PlannedPath
 from armctl.viewer.mesh_decimation import decimated
@@ -22,16 +23,45 @@ _GHOST_OPACITY = 0.35
 _GHOST_CELL = 4e-3  # of the model's extent: a ghost is seen through, so it needs less detail
 
 
+class Ghost:
+    """The arm as a transparent ghost, made when it is shown first."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, root: str):
+        """An invisible ghost in a server's scene, below the scene node `root`."""
+        self._server = server
+        self._arm = arm
+        self._root = root
+        self._data = mujoco.MjData(arm.model)
+        self._meshes: dict[int, viser.MeshHandle] = {}
+
+    def show(self, q: Array | None) -> None:
+        """Shows it at q, (n,) rad; None hides it."""
+        if q is not None:
+            self._data.qpos[:] = self._arm.qpos(q)
+            mujoco.mj_kinematics(self._arm.model, self._data)
+            if not self._meshes:
+                self._meshes = {body: self._add_body(body, mesh) for body, mesh in _moving_bodies(self._arm).items()}
+        for body, mesh in self._meshes.items():
+            mesh.visible = q is not None
+            if q is not None:
+                mesh.position = self._data.xpos[body]
+                mesh.wxyz = self._data.xquat[body]
+
+    def _add_body(self, body: int, mesh: trimesh.Trimesh) -> viser.MeshHandle:
+        return self._server.scene.add_mesh_simple(
+            f"{self._root}/ghost/{body}", mesh.vertices, mesh.faces, color=_GHOST_RGB, opacity=_GHOST_OPACITY, cast_shadow=False
+        )
+
+
 class PlanPreview:
-    """Shows the planned path to the target. The ghost is made when the first path is shown."""
+    """Shows the planned path to the target."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, root: str):
         """Adds an invisible line to a server's scene, below the scene node `root`."""
-        self._root = root
         self._server = server
-        self._arm = arm
         self._path: PlannedPath | None = None
-        self._ghost: dict[int, viser.MeshHandle] = {}
+        self._ghost = Ghost(server, arm, root)
+        self._has_ghost = False
         segments = np.zeros((PATH_POINTS - 1, 2, 3), np.float32)
         self._line = server.scene.add_line_segments(
             f"{root}/plan", segments, _PATH_RGB, thickness=_PATH_THICKNESS_PX, thickness_units="screen", visible=False
@@ -39,29 +69,16 @@ class PlanPreview:
 
     def show(self, path: PlannedPath | None, *, with_ghost: bool) -> None:
         """Shows a path, or none, with or without the arm at its end."""
+        has_ghost = path is not None and with_ghost
+        if path is self._path and has_ghost == self._has_ghost:
+            return
         with self._server.atomic():
             if path is not None and path is not self._path:
                 self._line.points = np.stack([path.tip[:-1], path.tip[1:]], axis=1).astype(np.float32)
-                self._place_ghost(path.q_end)
             self._line.visible = path is not None
-            for mesh in self._ghost.values():
-                mesh.visible = path is not None and with_ghost
+            self._ghost.show(path.q_end if path is not None and with_ghost else None)
         self._path = path
-
-    def _place_ghost(self, q: np.ndarray) -> None:
-        data = mujoco.MjData(self._arm.model)
-        data.qpos[:] = self._arm.qpos(q)
-        mujoco.mj_kinematics(self._arm.model, data)
-        if not self._ghost:
-            self._ghost = {body: self._add_body(body, mesh) for body, mesh in _moving_bodies(self._arm).items()}
-        for body, mesh in self._ghost.items():
-            mesh.position = data.xpos[body]
-            mesh.wxyz = data.xquat[body]
-
-    def _add_body(self, body: int, mesh: trimesh.Trimesh) -> viser.MeshHandle:
-        return self._server.scene.add_mesh_simple(
-            f"{self._root}/ghost/{body}", mesh.vertices, mesh.faces, color=_GHOST_RGB, opacity=_GHOST_OPACITY, cast_shadow=False
-        )
+        self._has_ghost = has_ghost
 
 
 def _moving_bodies(arm: Arm) -> dict[int, trimesh.Trimesh]:

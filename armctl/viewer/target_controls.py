@@ -15,7 +15,7 @@ from armctl.sim.realtime.status import Status
 if TYPE_CHECKING:
     import viser
 
-_GIZMO_SIZE_M = 0.15
+GIZMO_SIZE_M = 0.15
 _BALL_RADIUS_M = 0.015
 _BALL_RGB = (0, 200, 0)
 _DECIMALS = 4  # of the fields; the browser shows three
@@ -47,7 +47,7 @@ class TargetControls:
         self._undo: deque[Pose] = deque(maxlen=_MAX_UNDO)
         self._has_world_axes = False
         self._grip = session.status.target  # the target's pose where the handles were put last
-        self._gizmo = server.scene.add_transform_controls(f"{root}/goal", scale=_GIZMO_SIZE_M, depth_test=False)
+        self._gizmo = server.scene.add_transform_controls(f"{root}/goal", scale=GIZMO_SIZE_M, depth_test=False)
         server.scene.add_icosphere(f"{root}/goal/ball", _BALL_RADIUS_M, _BALL_RGB, opacity=0.5, cast_shadow=False)
         self._place_gizmo(self._drawn_target)
         self._gizmo.on_update(self._dragged)

@@ -84,6 +84,7 @@ class WebScene:
 
     Attributes:
         server: viser's server, for more controls on the page.
+        devices: What the visitors' keyboards, gamepads and SpaceMice ask for.
     """
 
     def __init__(
@@ -126,6 +127,7 @@ class WebScene:
         self.url = self._root + self._access.query()
         self._page_server = page_server.start_server(listener, self._access, title)
         self.server = self._page_server.viser
+        self.devices = self._page_server.devices
         atexit.register(self.close)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.gui.main_panel.dock_right()

@@ -200,6 +200,18 @@ def test_what_touches_the_base_at_home_is_left_out_up_to_one_joint_from_it(load,
     assert contacts == {frozenset(names) for names in ([], ["inner"], ["outer"], ["inner", "outer"])}
 
 
+@pytest.mark.parametrize("flag", ["enable", "disable"])
+def test_a_link_meets_the_next_one_only_where_mujoco_says_that_parents_collide(load, flag: str):
+    box = '<geom name="{}" type="box" size="0.02 0.02 0.02" pos="{}"/>'
+    outer = f'<body name="second"><joint name="b" axis="0 0 1" range="-3 3"/>{box.format("outer", "0 0.06 0")}</body>'
+    first = f'<body name="first"><joint name="a" axis="0 0 1" range="-3 3"/>{box.format("inner", "0.06 0 0")}{outer}</body>'
+    arm = load(first, motors("a b") + f'<option><flag filterparent="{flag}"/></option>')
+    checker = collision_checker(arm)
+    touches = [any(contact.dist < 0.0 for contact in placed(arm, q).contact) for q in configurations(arm, 100)]
+    assert [checker.hit(q) >= 0 for q in configurations(arm, 100)] == touches
+    assert (sum(touches) > 10) == (flag == "disable")
+
+
 def test_allowed_pairs_are_left_out_by_the_names_of_bodies_or_geoms(arm):
     checker = CollisionChecker(arm, allow=[("link5", "plate"), ("post", "link4")])
     named = {frozenset(checker.names(p)) for p in range(len(checker.geometry.pairs))}

@@ -2,9 +2,10 @@
 
 from itertools import pairwise
 
+import mujoco
 import numpy as np
 import pytest
-from collidable import arm_among
+from collidable import arm_among, placed
 
 import armctl
 from armctl.collision.checkers import collision_checker
@@ -46,6 +47,21 @@ def test_the_bound_holds_and_is_attained_within_a_fifth_of_a_millimetre(arm):
             assert sampled < 2e-4
             assert check.distance <= 2e-4
     assert proved >= 5
+
+
+def test_no_pair_is_ever_nearer_by_mujocos_distances_than_the_bound(arm):
+    geometry = collision_checker(arm).geometry
+    pairs = [geometry.pair_geoms(p) for p in range(len(geometry.pairs))]
+    proved = [(motion, check) for motion in motions(arm) if (check := armctl.check_clearance(arm, motion))]
+    assert len(proved) >= 5
+    for motion, check in proved:
+        times = np.append(np.linspace(0, motion.duration, 60), check.time)
+        least = [
+            min(mujoco.mj_geomDistance(arm.model, data, *pair, 0.3, None) for pair in pairs)
+            for data in (placed(arm, q) for q in motion.sample(times).q)
+        ]
+        assert min(least) > check.distance - 1e-6
+        assert least[-1] < check.distance + 2.2e-4
 
 
 def test_it_sees_what_no_sample_sees(tmp_path):
@@ -92,11 +108,15 @@ def test_nothing_to_touch_is_said(tmp_path):
         ({"trajectory": [0.0]}, "is not a motion of polynomial pieces"),
         ({"clearance": -1.0}, "clearance"),
         ({"clearance": float("nan")}, "clearance"),
+        ({"keep": "w"}, "unknown axis to keep 'w'"),
+        ({"keep": 3}, "unknown axis to keep '3'"),
+        ({"keep": "z", "keep_within": 0.0}, "keep_within: expected a number in "),
+        ({"keep": "z", "keep_within": 2.0}, "keep_within: expected a number in "),
     ],
 )
 def test_wrong_calls_are_one_sentence(arm, arguments, message):
     motion = armctl.move_j(arm, arm.home, arm.home + 0.01)
-    with pytest.raises(armctl.InputError, match=message):
+    with pytest.raises(armctl.ArmctlError, match=message):
         armctl.check_clearance(arm, **({"trajectory": motion} | arguments))
 
 

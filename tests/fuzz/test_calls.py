@@ -6,6 +6,7 @@ refuses the others. Gains are also assigned, and then the controller runs.
 
 import copy
 import inspect
+import json
 import math
 import os
 import resource
@@ -24,11 +25,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from arms import arm_of
-from synthetic import arm_with_gripper
+from synthetic import Shape, arm_with_gripper, serial_arm
 
 import armctl
 import armctl.envs
 import armctl.jax
+import armctl.links
 
 MAX_OTHER_ERRORS_SHARE = 0.001
 MAX_MESSAGE_CHARACTERS = 400
@@ -38,7 +40,7 @@ CALLS_IN_SUITE = 1500
 CALLS_PER_WORLD = 250  # then all objects are made again, since a call may have moved or spoiled them
 
 # Not called: what opens windows, or is Python's own: abstract classes, which Python itself refuses to make, and exceptions.
-LEFT_OUT = {"Controller", "CFunctionLaw", "CompiledController", "Trajectory", "ArmctlError", "ArmctlWarning"}
+LEFT_OUT = {"Link", "Controller", "CFunctionLaw", "CompiledController", "Trajectory", "ArmctlError", "ArmctlWarning"}
 # Valid values cost seconds there, so that these are called with at least one hostile value and rarely.
 SLOW = {
     "compare",
@@ -52,7 +54,7 @@ SLOW = {
     "JointTrajectory.plot",
     "envs.save_demonstrations",
 }
-PACKAGES = {"": armctl, "envs.": armctl.envs, "jax.": armctl.jax}
+PACKAGES = {"": armctl, "envs.": armctl.envs, "jax.": armctl.jax, "links.": armctl.links}
 # Given in every call: their defaults take long or open a page.
 ALWAYS_GIVEN = {"workers", "width", "height", "viewer"}
 
@@ -114,6 +116,10 @@ def world() -> dict[str, object]:
     link = armctl.links.PlantLink(arm)
     dry_run = armctl.DryRun(link)
     dry_run.open()
+    hand = armctl.links.PlantLink(gripping.arm)
+    hand.open()
+    lerobot_arm = armctl.links.LeRobotArm(armctl.Simulation(arm))
+    lerobot_arm.connect()
     return {
         "Actuation": arm.actuation,
         "Admittance": armctl.Admittance(arm),
@@ -168,7 +174,25 @@ def world() -> dict[str, object]:
         "jax.ComputedTorqueGains": armctl.jax.ComputedTorqueGains.of(armctl.ComputedTorque(arm), arm.dt),
         "jax.OperationalSpaceGains": armctl.jax.OperationalSpaceGains.of(armctl.OperationalSpace(arm)),
         "jax.Reference": armctl.jax.tick_reference(motion, arm.dt, ticks=2),
+        "links.Franka": armctl.links.Franka("127.0.0.1"),
+        "links.Hand": armctl.links.Hand(hand.hand),
+        "links.LeRobotArm": lerobot_arm,
+        "links.LinkCheck": armctl.Robot(arm, armctl.links.PlantLink(arm)).check(0.1),
+        "links.PlantLink": link,
+        "links.SO101": feetech_link(),
+        "links.Seen": link.read(),
     } | costly_results()
+
+
+def feetech_link() -> armctl.links.SO101:
+    """A link to an arm that is not connected."""
+    joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+    rows = {name: {"id": i, "homing_offset": 0, "range_min": 0, "range_max": 4095} for i, name in enumerate(joints)}
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "arm.json"
+        file.write_text(json.dumps(rows))
+        shape = Shape(0.1, 0.3, 10.0, range="-1.9 1.9", joint='armature="0.02"', joints=5, home="0 0.3 0.6 0.3 0")
+        return armctl.links.SO101(serial_arm(Path(folder), shape), "/dev/no-such-port", file)
 
 
 def of_another_arm() -> list[object]:

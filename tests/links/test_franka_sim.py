@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(not PYTHON.is_file(), reason="`make franka-sim` 
 def address():
     pytest.importorskip("pylibfranka")
     arm_of("fr3")  # skips where its model is not installed
-    model = menagerie.get("franka_fr3").path / "fr3.xml"
+    model = menagerie.get("franka_fr3").path() / "fr3.xml"
     command = [PYTHON, Path(__file__).with_name("franka_sim_server.py"), ADDRESS]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {"FR3_MJCF": str(model)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as server:

@@ -1,6 +1,7 @@
 """The page in a real browser: the target is dragged with the mouse, numbers are typed, switches are turned."""
 
 import contextlib
+import json
 import re
 import shutil
 import signal
@@ -8,7 +9,7 @@ import subprocess
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -108,6 +109,50 @@ def choose(tab, controller: str) -> None:
     boxes = tab.get_by_role("combobox").all()
     next(box for box in boxes if box.input_value() in CONTROLLERS).click()
     tab.get_by_role("option", name=controller, exact=True).click()
+
+
+FAKE_DEVICES = """
+window.pad = { axes: [0, 0, 0, 0], buttons: Array.from({ length: 6 }, () => ({ pressed: false })) };
+navigator.getGamepads = () => [null, window.pad];
+window.mouse = Object.assign(new EventTarget(), { opened: true });
+Object.defineProperty(navigator, "hid", { value: { getDevices: async () => [window.mouse] } });
+window.report = (id, counts) => {
+  const data = new DataView(new ArrayBuffer(2 * counts.length));
+  counts.forEach((count, k) => data.setInt16(2 * k, count, true));
+  window.mouse.dispatchEvent(Object.assign(new Event("inputreport"), { reportId: id, data }));
+};
+"""
+
+
+def test_keys_a_gamepad_and_a_space_mouse_ask_for_a_velocity_while_they_are_held(browser, page: Page, monkeypatch):
+    said: list[list[float]] = []  # a browser that draws with software on a busy machine is too slow to renew in time
+    monkeypatch.setattr(page.scene.devices, "take", lambda _, message: said.append(json.loads(message)))
+    tab = browser.new_context(viewport={"width": 320, "height": 240}).new_page()
+    tab.add_init_script(FAKE_DEVICES)
+    tab.goto(page.url)
+    tab.get_by_text("real time").wait_for(timeout=1e3 * TIMEOUT_S)
+
+    def says(velocity: list[float], act: Callable[[], object]) -> None:
+        said.clear()
+        act()
+        until(lambda: tab.wait_for_timeout(20) or velocity in said, f"{velocity} is not asked for, but {said}")
+
+    nothing = [0, 0, 0, 0, 0, 0]
+    says([1, 0, 0, 0, 0, 0], lambda: tab.keyboard.down("i"))
+    tab.keyboard.down("Shift")
+    says(nothing, lambda: tab.keyboard.up("i"))
+    says([0, 0, 0, 0, -1, 0], lambda: tab.keyboard.down("L"))
+    says(nothing, lambda: tab.evaluate("dispatchEvent(new Event('blur'))"))
+    said.clear()
+    tab.evaluate("pad.axes = [0, 0, 0, -1]")
+    tab.wait_for_timeout(300)
+    assert said == [], "a gamepad moves the tip without its shoulder button"
+    says([0, 0, 1, 0, 0, 0], lambda: tab.evaluate("pad.buttons[5].pressed = true"))
+    says(nothing, lambda: tab.evaluate("pad.buttons[5].pressed = false"))
+    says([0, 0.5, 0, 0, 0, 0], lambda: tab.evaluate("window.timer = setInterval(() => report(1, [-175, 0, 0]), 10)"))
+    says(nothing, lambda: tab.evaluate("clearInterval(timer)"))
+    says([0, 0.5, 0, 0, 0, -1], lambda: tab.evaluate("window.timer = setInterval(() => report(2, [0, 0, 700]), 10)"))
+    tab.close()
 
 
 def test_the_page_shows_the_arm_and_says_what_it_does(page: Page, tab):

@@ -28,14 +28,7 @@ public:
         if (!is_limited_) { return; }
         copy(tau, torque_);
         find_deviation();
-        for (size_t i = 0; i < tau.size(); ++i) {
-            tau[i] = dot(M_.row(i), deviation_, tau[i]);
-            if (tau[i] > tau_max_[i]) {
-                tau[i] = tau_max_[i];
-            } else if (tau[i] < -tau_max_[i]) {
-                tau[i] = -tau_max_[i];
-            }
-        }
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] = clipped(dot(M_.row(i), deviation_, tau[i]), tau_max_[i]); }
     }
 
     // The program of the last tick, if the torque was limited: minimize x H x / 2 subject to lower <= (x, M x) <= upper.

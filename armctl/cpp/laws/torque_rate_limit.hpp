@@ -18,13 +18,7 @@ public:
         double& has_last_torque = own_memory()[0];
         const Result last = own_memory().subspan(1);
         for (size_t i = 0; i < tau.size(); ++i) {
-            if (has_last_torque != 0.0) {
-                if (tau[i] > last[i] + max_change_[i]) {
-                    tau[i] = last[i] + max_change_[i];
-                } else if (tau[i] < last[i] - max_change_[i]) {
-                    tau[i] = last[i] - max_change_[i];
-                }
-            }
+            if (has_last_torque != 0.0) { tau[i] = std::clamp(tau[i], last[i] - max_change_[i], last[i] + max_change_[i]); }
             last[i] = tau[i];
         }
         has_last_torque = 1.0;

@@ -49,6 +49,7 @@ class RealTimeSession:
         history: Errors and torques of the last seconds.
         keyframes: Names of the model's keyframes.
         gripper_width_max: Largest width of the gripper, m; None without a gripper.
+        hand: The velocity at which a hand moves the target now, m/s and rad/s in world axes; None if none does.
     """
 
     def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
@@ -70,6 +71,7 @@ class RealTimeSession:
         self._ticks = max(1, round(UPDATE_INTERVAL_S / self._stepper.dt))
         self._interval = self._ticks * self._stepper.dt
         self._follower = TargetFollower(arm, self._stepper.dt, Obstacles(arm, self._stepper.data))
+        self.hand: Callable[[], tuple[Array, Array] | None] = lambda: None
         self._speed_override = 1.0
         self._clock = RealTimeClock()
         self.history = History(arm.n, self._interval)
@@ -317,6 +319,7 @@ class RealTimeSession:
             command()
         if self._paused or self._standing_by or self._failure or self._stepper.failure:
             return False
+        self._follower.jog(self.hand(), self._interval * self._speed_override)
         reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)
         self._stepper.run(self._controller, reference, self._recorder())
         self._elapsed += self._interval

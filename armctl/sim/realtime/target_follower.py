@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armctl.core.latest_worker import LatestWorker
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.target import Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, frozen
@@ -30,6 +30,9 @@ _IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
 _MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
 _CLEARANCE_M = 1e-3  # of a reference that follows live: half of what a planned path keeps
 PATH_POINTS = 100
+# By how much a target that moves at a velocity may be ahead of the arm, which an obstacle or a limit may stop.
+_LEAD_M = 0.03
+_LEAD_RAD = 0.2
 
 _log = logging.getLogger("armctl.sim")
 
@@ -93,6 +96,7 @@ class TargetFollower:
         self._worker: LatestWorker | None = None
         self._checker: CollisionChecker | None = None
         self._clearance = _CLEARANCE_M
+        self._is_jogging = False
         self.stand(arm.home, arm.home)
 
     def close(self) -> None:
@@ -123,6 +127,25 @@ class TargetFollower:
         self.target = self.arm.fk(q)
         self.joint_control = True
         self._begin(q, held=False)
+
+    def jog(self, velocity: tuple[Array, Array] | None, interval: float) -> None:
+        """Moves the target at a velocity, m/s and rad/s in world axes. None ends that: the arm comes to rest where it is."""
+        if velocity is None:
+            if self._is_jogging:
+                self._is_jogging = False
+                self.aim(self.arm.fk(self.joint_goal))
+            return
+        tip = self.arm.fk(self.joint_goal)
+        if not self._is_jogging:
+            self.aim(tip, held=True)
+            self._is_jogging = True
+        linear, angular = velocity
+        ahead = self.target.position + interval * linear - tip.position
+        ahead *= min(1.0, _LEAD_M / max(float(np.linalg.norm(ahead)), 1e-9))
+        turned = Pose.from_rotation(tip.position + ahead, rotation_from_vector(interval * angular) @ self.target.rotation)
+        is_near = Target.read(turned).distance(tip)[1] < _LEAD_RAD
+        self.target = turned if is_near or not self.oriented else Pose(turned.position, quat=self.target.quat)
+        self._finished = False
 
     def set_avoiding(self, avoiding: bool) -> None:
         """Chooses whether contacts are avoided."""

@@ -1,0 +1,83 @@
+"""HandDevices: what keyboards, gamepads and SpaceMice of the page's visitors ask for. `devices.js` reads them."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+import numpy as np
+from websockets.exceptions import ConnectionClosed
+
+from armctl.core.validation import Array
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+
+PATH = "/devices"
+LEASE_S = 0.25  # for which a velocity counts; the script renews it every 40 ms
+_MAX_MESSAGE_CHARACTERS = 256
+_FULL_SPEED = 0.1  # m/s of the tip
+_FULL_TURN = 0.5  # rad/s of the tip
+
+_Shares = tuple[float, float, float, float, float, float]
+
+
+class TipVelocity(NamedTuple):
+    """A velocity of the tip, world axes.
+
+    Attributes:
+        linear: (3,) m/s.
+        angular: (3,) rad/s.
+    """
+
+    linear: Array
+    angular: Array
+
+
+class HandDevices:
+    """The velocity that one visitor asks for. It ends if it is not renewed, and when the visitor leaves.
+
+    While one visitor holds a key, a button or a cap, what the others hold does not count.
+    """
+
+    def __init__(self) -> None:
+        self._commander: object = None
+        self._shares: _Shares | None = None
+        self._renewed_at = -math.inf
+
+    @property
+    def velocity(self) -> TipVelocity | None:
+        """What is asked for now; None for nothing. Any thread may read it."""
+        shares = self._shares
+        if shares is None or time.monotonic() - self._renewed_at > LEASE_S:
+            return None
+        return TipVelocity(_FULL_SPEED * np.array(shares[:3]), _FULL_TURN * np.array(shares[3:]))
+
+    async def serve(self, connection: ServerConnection) -> None:
+        """Takes the messages of one visitor until the visitor leaves."""
+        try:
+            with contextlib.suppress(ConnectionClosed):
+                async for message in connection:
+                    self.take(connection, message)
+        finally:
+            if self._commander is connection:
+                self._shares = None
+                self._commander = None
+
+    def take(self, connection: object, message: str | bytes) -> None:
+        """Takes a message: shares of the full speed along and about x, y, z, each in [-1, 1]. Others are dropped."""
+        if len(message) > _MAX_MESSAGE_CHARACTERS or (self._commander is not connection and self.velocity is not None):
+            return
+        try:
+            shares = msgspec.json.decode(message, type=_Shares)
+        except (msgspec.MsgspecError, ValueError):
+            return
+        if not all(map(math.isfinite, shares)):
+            return
+        x, y, z, a, b, c = (min(max(share, -1.0), 1.0) for share in shares)
+        self._commander = connection
+        self._renewed_at = time.monotonic()
+        self._shares = (x, y, z, a, b, c) if any(shares) else None
