@@ -23,6 +23,8 @@ from .control.computed_torque_observer import ComputedTorqueObserver as Computed
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
 from .control.elastic_feedback import ElasticFeedback as ElasticFeedback
 from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
+from .control.external_force import ExternalForce as ExternalForce
+from .control.hand_guiding import HandGuiding as HandGuiding
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
 from .control.interface import CompiledController as CompiledController
@@ -132,9 +134,15 @@ from .render.video import still as still
 from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
 from .sim.commands import PathMoveOptions as PathMoveOptions
+from .sim.contact_reaction import ContactReaction as ContactReaction
 from .sim.follow import StreamRun as StreamRun
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
+from .sim.mppi import MPPI as MPPI
+from .sim.mppi import MPPIOptions as MPPIOptions
+from .sim.mppi import PushResult as PushResult
+from .sim.mppi import Rollouts as Rollouts
+from .sim.mppi import push as push
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
