@@ -36,7 +36,7 @@ _ADVICE = {
     "ends below its start": "exchange the two ends of the range",
     "what DC motors have": "judge a controller by `armctl margins`, which includes the motor's lag",
     "the actuators delay commands": "judge a controller by `armctl margins`, which includes the delay",
-    "elastic joints move": "judge a controller by `armctl margins`, which includes the spring",
+    "elastic joints move": "judge a controller by `armctl margins`, which includes the spring, or take ElasticFeedforward",
     "(springyield)": "remove springyield, or keep the motion inside it",
     "the sensors of joints are late": "judge a controller by `armctl margins`, which includes it",
     "drag (": 'set density="0" viscosity="0" in <option>',

@@ -16,7 +16,7 @@ from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, IntArray, choice
 from armctl.design.arm_excitation import Excitation
-from armctl.design.linearization import loop_at
+from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
 from armctl.design.multisine import joint_index
 from armctl.design.recorded_response import OF, bound_factor, recorded_response
@@ -279,7 +279,7 @@ def frequency_response(
     q = arm.checked("q", q)
     plant = read_plant(plant)
     index = joint_index(arm.joint_names, joint)
-    loop = loop_at(arm, law, q, plant)
+    loop = Linearizer(arm, plant).loop_at(law, q)
     ticks = round(_PERIOD_S / loop.dt)
     lines = _lines(ticks)
     frequency = np.asarray(2 * np.pi * lines / (ticks * loop.dt), dtype=np.float64)

@@ -113,12 +113,8 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
     """
     check_arm(arm)
     law = read_controller(controller, arm)
-    return loop_at(arm, law, arm.checked("q", q), read_plant(plant), number("delay", delay, 0.0))
-
-
-def loop_at(arm: Arm, controller: Controller, q: Array, plant: Plant, delay: float = 0.0) -> Loop:
-    """`linearize` for checked arguments."""
-    return Linearizer(arm, plant).loop_at(controller, q, delay)
+    q = arm.checked("q", q)
+    return Linearizer(arm, read_plant(plant)).loop_at(law, q, number("delay", delay, 0.0))
 
 
 class Linearizer:

@@ -95,7 +95,9 @@ def actuator_notes(
         warned.append(f"springs yield in simulation (springyield), but controllers take them as elastic ({_listed(yielding)})")
     late = _late_sensors(analysis, transmissions, names)
     if late:
-        warned.append(f"the sensors of joints are late ({_listed(late)}); simulations and margins include it")
+        warned.append(
+            f"the sensors of joints are late ({_listed(late)}); simulations and margins include it, but environments do not"
+        )
     servos = [name for name, each in zip(names, transmissions, strict=True) if _is_servo(model, each.actuator)]
     quiet = [f"torque motors replace the servos of {_listed(servos)}: their gains are not used"] if servos else []
     return warned, quiet

@@ -119,7 +119,8 @@ class Plant:
         stiction: Static friction over dry friction, with "lugre".
         motor: s, the time constant with which torques follow commands: inductance over resistance of a DC motor.
         elasticity: N m/rad, stiffness of a spring between each motor and its link; one number or (n,), 0 for rigid.
-            The motor's inertia is the model's armature, and its friction that of the joint. Logs show the links.
+            The motor's inertia is the model's armature, and its friction that of the joint. Logs show the links, and a run
+            starts with them where its motion does: a law that follows the motors yields first by what the springs carry.
         elastic_damping: Damping ratio of these springs, with the inertias on both sides.
         rotor_inertia: kg m^2 at the joint, of each motor with a spring or a gap; 0 for the model's armature.
         backlash: rad, the gap between each motor and its link; a number for all joints or (n,).
