@@ -23,6 +23,8 @@ from .control.computed_torque_observer import ComputedTorqueObserver as Computed
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
 from .control.elastic_feedback import ElasticFeedback as ElasticFeedback
 from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
+from .control.external_force import ExternalForce as ExternalForce
+from .control.hand_guiding import HandGuiding as HandGuiding
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
 from .control.interface import CompiledController as CompiledController
@@ -73,6 +75,8 @@ from .design.filter_proposal import propose_filter as propose_filter
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
 from .design.identify import identify as identify
+from .design.identify_servo import ServoEstimate as ServoEstimate
+from .design.identify_servo import identify_servo as identify_servo
 from .design.linearization import LinearArm as LinearArm
 from .design.linearization import linear_arm as linear_arm
 from .design.linearization import linearize as linearize
@@ -81,6 +85,7 @@ from .design.margins import Margins as Margins
 from .design.margins import margins as margins
 from .design.payload import PayloadEstimate as PayloadEstimate
 from .design.payload import identify_payload as identify_payload
+from .design.servo_simulation import ServoParameters as ServoParameters
 from .design.stability import LoopMargins as LoopMargins
 from .design.tuning import Tuning as Tuning
 from .design.tuning import tune as tune
@@ -129,9 +134,15 @@ from .render.video import still as still
 from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
 from .sim.commands import PathMoveOptions as PathMoveOptions
+from .sim.contact_reaction import ContactReaction as ContactReaction
 from .sim.follow import StreamRun as StreamRun
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
+from .sim.mppi import MPPI as MPPI
+from .sim.mppi import MPPIOptions as MPPIOptions
+from .sim.mppi import PushResult as PushResult
+from .sim.mppi import Rollouts as Rollouts
+from .sim.mppi import push as push
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate

@@ -6,6 +6,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # seven-vectors gain nothing from threads, and two workers lose
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")  # JAX compiles in half the time
+os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", "1000000")  # glibc of a worker returns the memory of large models at once
 os.environ["MENAGERIE_BASE_URL"] = "file:///nowhere"  # a test downloads nothing, and is told so at once
 if not os.environ.get("DISPLAY"):
     os.environ.setdefault("MUJOCO_GL", "egl")
@@ -19,12 +20,15 @@ if sanitized := os.environ.get("ARMCTL_SANITIZED_CORE"):  # `make sanitize` test
     spec.loader.exec_module(sys.modules["armctl._core"])
 
 import hypothesis
+import mujoco
 import pytest
 from arms import ARMS, MISSING, ROBOTS, arm_of
 from robot_notes import RobotNotes, test_id
 from synthetic import mjcf
 
 import armctl
+
+mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), 100_000_000)  # bytes of meshes of earlier models; 500 MB by default
 
 hypothesis.settings.register_profile("armctl", deadline=None, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("armctl")

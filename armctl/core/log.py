@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armctl.core import log_columns, log_files
 from armctl.core.atomic import atomic_path, file_path
@@ -18,10 +19,11 @@ from armctl.core.file_reading import reading
 from armctl.core.log_columns import QUANTITIES, REFERENCES, STATES
 from armctl.core.log_csv import Columns, Units, read_recording
 from armctl.core.other_names import with_hints
-from armctl.core.validation import Array, frozen, instance, number, shown
+from armctl.core.validation import Array, frozen, instance, matrix, number, shown
 
 RECORDED = "recorded"  # the unknown controller in the recording of a real robot
 _MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10
+_MIN_ROWS = 2  # of a recording, for its velocity
 _QUATERNION_TOLERANCE = 1e-3  # of the norm of a quaternion in a file
 
 
@@ -230,34 +232,90 @@ class Log:
         names = recording.joint_names if joint_names is None else tuple(joint_names)
         if len(names) != len(recording.joint_names):
             raise InputError(f"{path!s:.80}: {len(recording.joint_names)} joints are recorded, {len(names)} are named")
-        ticks, n = recording.q.shape
-        nothing = np.full((ticks, n), np.nan)
-        nowhere = np.full((ticks, 3), np.nan)
-        no_rotation = np.full((ticks, 4), np.nan)
+        nothing = np.full(recording.q.shape, np.nan)
+        found = recording.q, recording.v, nothing, recording.tau
+        return cls._recorded(robot, names, recording.units, recording.dt, str(recording), recording.t, *found)
+
+    @classmethod
+    def from_positions(
+        cls,
+        dt: float,
+        q: ArrayLike,
+        q_ref: ArrayLike,
+        *,
+        joint_names: Sequence[str],
+        units: Sequence[str] = (),
+        robot: str = "",
+    ) -> Log:
+        """A log of commanded and measured positions, as of an arm with position servos, for `identify_servo`.
+
+        Args:
+            dt: s between two rows.
+            q: (T, n) rad, measured.
+            q_ref: (T, n) rad, the command that is given when a position is measured.
+            joint_names: The n joints, such as `arm.joint_names`.
+            units: The unit of each joint, "rad" or "m"; rad for all joints if left out.
+
+        Returns:
+            The log. Velocities are differences of positions; torques and the tip are NaN.
+
+        Raises:
+            InputError: The interval is not above 0, or the positions have different shapes or are not finite.
+        """
+        names = tuple(joint_names)
+        measured = matrix("q", q, len(names))
+        commanded = matrix("q_ref", q_ref, len(names))
+        if measured.shape != commanded.shape:
+            raise InputError(f"q_ref: expected the shape of q, {measured.shape}, got {commanded.shape}")
+        if len(measured) < _MIN_ROWS:
+            raise InputError(f"q: expected at least {_MIN_ROWS} rows, got {len(measured)}")
+        dt = number("dt", dt, 1e-6, 10.0)
+        t = np.asarray(dt * np.arange(len(measured)), np.float64)
+        found = measured, np.gradient(measured, dt, axis=0), commanded, np.full(measured.shape, np.nan)
+        return cls._recorded(robot, names, tuple(units), dt, "a recording of positions", t, *found)
+
+    @classmethod
+    def _recorded(
+        cls,
+        robot: str,
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        dt: float,
+        plant: str,
+        t: Array,
+        q: Array,
+        v: Array,
+        q_ref: Array,
+        tau: Array,
+    ) -> Log:
+        """A log of a real robot, whose other quantities are NaN."""
+        nothing = np.full_like(q, np.nan)
+        nowhere = np.full((len(q), 3), np.nan)
+        no_rotation = np.full((len(q), 4), np.nan)
         return cls(
             robot=robot,
             controller=RECORDED,
             joint_names=names,
-            dt=recording.dt,
-            tau_max=np.full(n, np.inf),
-            motion_duration=float(recording.t[-1]),
+            dt=dt,
+            tau_max=np.full(len(names), np.inf),
+            motion_duration=float(t[-1]),
             target=np.full(7, np.nan),
             real_time_factor=1.0,
             failure="",
-            t=recording.t,
-            q=recording.q,
-            v=recording.v,
-            q_ref=nothing,
             v_ref=nothing,
             a_ref=nothing,
-            tau=recording.tau,
-            tau_cmd=recording.tau,
+            t=t,
+            q=q,
+            v=v,
+            q_ref=q_ref,
+            tau=tau,
+            tau_cmd=tau,
             tip=nowhere,
             tip_quat=no_rotation,
             tip_ref=nowhere,
             tip_ref_quat=no_rotation,
-            plant=str(recording),
-            units=recording.units,
+            plant=plant,
+            units=units,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,9 @@ _FACTORS = (4.0, 2.8, 2.0, 1.4, 1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125)  # of th
 _POWERS = {"bandwidth": 1, "damping": 1, "stiffness": 2}
 _MAX_DAMPING_RATIO = 0.3  # of what counts as a resonance
 _MAX_NYQUIST_SHARE = 0.8
+# Stiffness and damping of springs, as shares of the given ones: margins hold for all of them, since a resonance that peaks just
+# below a bound would exceed it on the real arm.
+_DOUBTS = ((1.0, 1.0), (0.9, 0.7), (1.1, 0.7))
 _RESONANCES = 2  # the least damped ones get notches
 
 
@@ -37,8 +40,8 @@ class FilterProposal:
         controller: The law with the new gains, in a `TorqueFilter` if a filter helps; the given one if not ok.
         filters: The filters; empty if none helps.
         factor: Of the bandwidth: stiffness grows with its square. 1 for a law without such gains.
-        before: The margins of the given law.
-        after: Those of the proposed one.
+        before: The margins of the given law, the worst ones if springs are 10 % softer or stiffer and less damped.
+        after: Those of the proposed one, likewise.
         reason: The reason if it is not ok; empty if it is.
     """
 
@@ -98,17 +101,17 @@ def propose_filter(
     q = arm.checked("q", q)
     delay_margin = number("delay_margin", delay_margin, 0.0)
     peak_sensitivity = number("peak_sensitivity", peak_sensitivity, 1.0)
-    linearizer = Linearizer(arm, read_plant(plant))
-    given = linearizer.loop_at(law, q)
-    before = given.robustness()
+    linearizers = [Linearizer(arm, each) for each in _doubtful(read_plant(plant))]
+    given = linearizers[0].loop_at(law, q)
+    before = _worst(linearizers, law, q)
     best: FilterProposal | None = None
-    for filters in _candidates(_resonances(given), linearizer.dt):
+    for filters in _candidates(_resonances(given), given.dt):
         for factor in _FACTORS if _gains(law) else (1.0,):
             if best is not None and factor < best.factor:
                 break
             scaled = _scaled(law, factor)
             proposed = TorqueFilter(arm, scaled, filters) if filters else scaled
-            after = linearizer.loop_at(proposed, q).robustness()
+            after = _worst(linearizers, proposed, q)
             if not after or after.delay_margin < delay_margin or after.peak_sensitivity > peak_sensitivity:
                 continue
             is_better = best is None or (factor, -after.peak_sensitivity) > (best.factor, -best.after.peak_sensitivity)
@@ -119,6 +122,30 @@ def propose_filter(
         reason = f"no filter and no lower gains give a delay margin of {1e3 * delay_margin:g} ms and Ms {peak_sensitivity:g}"
         return FilterProposal(False, law, (), 1.0, before, before, reason)
     return best
+
+
+def _doubtful(plant: Plant) -> list[Plant]:
+    """A plant, and others with springs that it may have instead."""
+    if not np.any(plant.elasticity):
+        return [plant]
+    stiffness = np.asarray(plant.elasticity)
+    return [
+        replace(plant, elasticity=share * stiffness, elastic_damping=damping * plant.elastic_damping)
+        for share, damping in _DOUBTS
+    ]
+
+
+def _worst(linearizers: list[Linearizer], law: Controller, q: Array) -> LoopMargins:
+    """The worst margins of a law; those of an unstable loop if there is one."""
+    found = [linearizer.loop_at(law, q).robustness() for linearizer in linearizers]
+    worst = max(found, key=lambda each: (not each.ok, each.peak_sensitivity))
+    if not worst:
+        return worst
+    return replace(
+        worst,
+        delay_margin=min(each.delay_margin for each in found),
+        phase_margin=min(each.phase_margin for each in found),
+    )
 
 
 def _candidates(resonances: Array, dt: float) -> Iterator[tuple[Notch | LowPass, ...]]:

@@ -59,8 +59,8 @@ class OptimizedMotion:
         ok: Whether the motion has a smaller cost than the given one.
         reason: Why not; empty if it has.
         motion: The best proved motion: the given one if no better one was found.
-        before: What the given motion costs.
-        after: Of the best motion.
+        before: What the given motion has.
+        after: What the best one has.
         cost: The weighted mean of the measures, relative to those of the given motion; 1 without a gain.
         clearance: The proof of the best motion.
         evaluations: How many motions were timed.

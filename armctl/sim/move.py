@@ -27,6 +27,7 @@ from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import move_free_with
 from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm
+from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.drive import Drive
 from armctl.sim.recorder import Recorder, RunInfo, ticks_for
 from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
@@ -123,7 +124,10 @@ class ControlledArms:
         arms: The arms by the names of their tips.
         controllers: The controllers by the names of the tips.
         drive: What moves them.
+        reaction: To contacts, in the simulation of one arm; None for none.
     """
+
+    reaction: ContactReaction | None = None
 
     def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], drive: Drive):
         self.arms = {arm.tip: arm for arm in arms}
@@ -155,8 +159,20 @@ class ControlledArms:
         ticks = ticks_for(max(durations.values(), default=0.0) + dwell, self.drive.dt)
         reference = self._reference(trajectories, ticks)
         with self.recording(durations) as recorder:
-            self.drive.run(self._controller, reference, recorder)
+            self._run(trajectories, reference, recorder)
         return self._logs
+
+    def _run(self, trajectories: Mapping[str, Trajectory], reference: TickReference, recorder: Recorder) -> None:
+        """Runs motions on the ticks, with the reaction to contacts."""
+        drive = self.drive
+        if self.reaction is None or not isinstance(drive, Stepper):
+            drive.run(self._controller, reference, recorder)
+            return
+        [trajectory] = trajectories.values()
+        felt = self.reaction.run(
+            self._controller, trajectory, reference, recorder, drive.run, lambda: drive.motor_torque, drive.state
+        )
+        drive.failure = drive.failure or felt
 
     def planned(self, target: Target, plan: Callable[[], PlannedMove]) -> PlannedMove:
         """A plan; a refusal if no motion may start, such as from a state that diverged."""
@@ -174,7 +190,7 @@ class ControlledArms:
         reference = self._reference(trajectories, ticks_for(max(durations.values()), drive.dt))
         targets = {tip: each.target.numbers for tip, each in moves.items()}
         with self.recording(durations, targets) as recorder:
-            drive.run(self._controller, reference, recorder)
+            self._run(trajectories, reference, recorder)
             hold = drive.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + _SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:

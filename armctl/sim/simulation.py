@@ -12,11 +12,12 @@ from armctl.core import hooks
 from armctl.core.log import Log
 from armctl.core.other_names import with_hints
 from armctl.core.trajectory import TickReference
-from armctl.core.validation import flag, number, vector
+from armctl.core.validation import flag, instance, number, vector
 from armctl.loading.load import load
 from armctl.robot.arm import Arm
 from armctl.sim.commands import Commands
 from armctl.sim.constant_torque import constant_controls
+from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.gripper.gripper import Gripper
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
@@ -95,6 +96,22 @@ class Simulation(Commands):
             UnknownNameError: There is no such controller.
         """
         self._arms.controllers[self.arm.tip] = read_controller(controller, self.arm)
+
+    @property
+    def reaction(self) -> ContactReaction | None:
+        """The reaction to contacts during motions; None for none. It can be replaced between two commands."""
+        return self._arms.reaction
+
+    @reaction.setter
+    def reaction(self, reaction: ContactReaction | None) -> None:
+        """Replaces the reaction to contacts.
+
+        Raises:
+            InputError: It is no ContactReaction.
+        """
+        if reaction is not None:
+            instance("reaction", reaction, ContactReaction, "armctl.ContactReaction(arm) is one")
+        self._arms.reaction = reaction
 
     @property
     def measured_state(self) -> State:

@@ -198,6 +198,11 @@ class Stepper:
             state = state._replace(q=q, v=v, deflection=self._disturbances.deflection)
         return state._replace(wrench=self._measured_wrench(state))
 
+    @property
+    def motor_torque(self) -> Array:
+        """(n,) N m, the torque of the motors in the last tick."""
+        return self._gathered_torque()
+
     def tip_pose(self, arm: Arm) -> Pose:
         """The pose of an arm's tip in the simulation now, T_world_tip."""
         mujoco.mj_kinematics(self.model, self.data)

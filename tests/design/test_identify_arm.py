@@ -12,8 +12,12 @@ from synthetic import BENT, limb, motors, serial_arm, ties
 
 import armctl
 from armctl.cli.main import main
+from armctl.core.filtering import derivatives
+from armctl.design.fit_rows import speeds_of_torques
 from armctl.design.pseudo_inertia import from_log_cholesky, inertial_parameters, pseudo_inertia, to_log_cholesky
 from armctl.design.regressor import FrictionShape
+from armctl.robot.dynamics import Dynamics
+from armctl.robot.passive_forces import DryFriction
 from armctl.robot.pinocchio_model import build_pinocchio_model
 
 TICK = 0.002
@@ -414,3 +418,14 @@ def test_an_excitation_for_the_arm_starts_where_it_is_told_to(arms):
     assert motion(motion.duration).q == pytest.approx(start)
     with pytest.raises(armctl.InputError, match="starts at home"):
         armctl.excitation(arm, start=start)
+
+
+def test_torques_act_at_the_speeds_before_and_after_mujocos_step(tmp_path):
+    arm = serial_arm(tmp_path, BENT["rubbing"])
+    log = armctl.simulate(arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home + 0.3))
+    friction = DryFriction.of(arm.model, arm.joint_map)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    speeds = speeds_of_torques(friction, dynamics, log, log.q, *derivatives(log.q, log.dt))
+    assert np.abs(log.v).max() > 0.5
+    assert speeds.start[2:-2] == pytest.approx(log.v[2:-2], abs=1e-8)
+    assert speeds.end[2:-3] == pytest.approx(log.v[3:-2], abs=1e-8)

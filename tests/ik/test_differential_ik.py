@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.optimize
+from armctl.ik.quadratic_program import QuadraticProgram
 from arms import ARMS, arm_of
 from collidable import arm_among, capsule_gaps, placed
 
@@ -321,3 +323,28 @@ def test_a_null_step_moves_joints_inside_their_bounds_and_not_the_tip(rows: int,
         assert np.abs(step).max() > 1e-3
         assert (np.abs(step) <= high + 1e-12).all()
         assert np.abs(J @ step).max() < 1e-6
+
+
+@pytest.mark.parametrize("solver", ["daqp", "osqp"])
+def test_rows_that_are_added_to_a_program_are_kept_beside_its_own(solver: str):
+    """The least distance from a point to a polyhedron, by SciPy."""
+    rng = np.random.default_rng(6)
+    bounds = np.full(4, 2.0)
+    for _ in range(5):
+        G = rng.normal(size=(3, 4))
+        h = rng.uniform(0.1, 0.5, 3)
+        goal = rng.normal(size=4)
+        program = QuadraticProgram(np.eye(4), -goal, None, None, None, None, -bounds, bounds)
+        for k in (0, 1, 2):
+            program = program.with_inequalities(G[[k]], h[[k]])
+        nearest = scipy.optimize.minimize(
+            lambda x, goal=goal: 0.5 * np.sum((x - goal) ** 2),
+            np.zeros(4),
+            jac=lambda x, goal=goal: x - goal,
+            bounds=[(-2.0, 2.0)] * 4,
+            constraints=[scipy.optimize.LinearConstraint(G, -np.inf, h)],
+            options={"ftol": 1e-14},
+        )
+        assert program.solve(solver) == pytest.approx(nearest.x, abs=1e-5)
+        assert program.allows_zero()
+        assert not program.with_inequalities(G[[0]], np.array([-0.1])).allows_zero()

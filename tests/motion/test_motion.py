@@ -485,6 +485,28 @@ def test_torques_of_any_trajectory_can_be_checked():
         armctl.check_torque(arm_of("robot_arm_3dof"), Still())
 
 
+@pytest.mark.parametrize(
+    ("duration", "when"), [(1.0, 0.0), (1.0, 0.502), (1.0, 1.0), (170.0, 0.0), (170.0, 80.0), (170.0, 170.0)]
+)
+def test_a_torque_of_four_milliseconds_is_seen_wherever_it_is(duration: float, when: float):
+    arm = arm_of("planar")
+
+    class Burst:
+        def __init__(self):
+            self.duration = duration
+
+        def __call__(self, t):
+            return armctl.Setpoint(*(x[0] for x in self.sample(np.array([t]))[:3]))
+
+        def sample(self, times):
+            still = np.tile(arm.home, (len(times), 1))
+            return armctl.Setpoint(still, 0.0 * still, 1e3 * (np.abs(times - when) < 0.00201)[:, None] * np.ones(3))
+
+    check = armctl.check_torque(arm, Burst())
+    assert not check
+    assert check.time == pytest.approx(when, abs=0.0021)
+
+
 # The trajectory as a value
 
 

@@ -1,0 +1,429 @@
+"""identify_servo: rotor inertia, gains, friction, offsets and delay of position servos, from positions alone."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from armctl.core.atomic import file_path, write_text
+from armctl.core.errors import InputError
+from armctl.core.log import Log
+from armctl.core.validation import Array, frozen, instance
+from armctl.design.identified_model import edited_spec, urdf_text
+from armctl.design.servo_simulation import ServoParameters, ServoSimulation, set_rotors_and_friction
+from armctl.loading.catalog import locate
+from armctl.robot.arm import Arm, check_arm
+from armctl.robot.pinocchio_model import build_pinocchio_model
+
+PER_JOINT = ("armature", "stiffness", "damping", "coulomb_friction", "offset")
+_BANDWIDTH = 20.0  # rad/s, where to start with a file that has no servos
+_MIN_INERTIA_SHARE = 0.05  # of a joint's inertia: a rotor inertia of the file below it is no start for a logarithm
+_RANGE = 100.0  # the bounds of armature, stiffness and damping over their values in the file, and reversed
+_FRICTION_SHARE = 0.05  # of a joint's typical torque: the unit of dry friction in the fit
+_MAX_DELAY_S = 0.25
+_START_DELAYS = np.linspace(0.0, 0.12, 7)
+_START_SCALES = (0.3, 1.0, 3.0)  # of the stiffness
+# Of finite differences, in units of the fit. Rounding of friction's solver, divided by a shorter step, looks like information.
+_STEP = 0.05
+_MAX_EVALUATIONS = 25
+_TOLERANCE = 1e-4
+_SETTLING_S = 0.3  # at the beginning, where the state of the arm is not known
+_BLOCK_S = 0.5  # over which residuals may be correlated
+# A parameter is not shown if an e-fold change, with all others adapted to it, moves its joint by less than this multiple of the
+# residuals: smaller effects drown in what the model leaves out, whatever the number of samples says.
+_MIN_RESIDUAL_MULTIPLE = 2.0
+_MIN_TRAVEL_RAD = 0.02
+_MIN_SECONDS = 3.0
+_MAX_JUDGE_RATIO = 2.0  # of the error at the judge over that at the recording
+_MAX_UNEXPLAINED = 0.5  # of the difference between command and position along the judge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoEstimate:
+    """Position servos, identified from positions. True if the second motion confirms them.
+
+    Attributes:
+        ok: Whether the judge's positions are predicted, and better than with the parameters of the file.
+        reason: The reason if it is not ok; empty if it is.
+        arm: The arm before.
+        parameters: The identified parameters.
+        errors: Their standard errors, robust to correlated residuals; they know noise, and not what the model leaves out.
+        file: The parameters of the file, from which the fit started.
+        unseen: Names of parameters, such as "wrist armature", that the motion does not show. The least visible one has the
+            file's value. Others may be known relative to it: without gravity, positions show ratios of parameters only.
+        rms: (n,) rad, of measured minus simulated positions along the recording.
+        judge_rms: (n,) rad, along the judge, which the fit did not use; NaN without a judge.
+        judge_file_rms: (n,) rad, along the judge with the parameters of the file.
+    """
+
+    ok: bool
+    reason: str
+    arm: Arm
+    parameters: ServoParameters
+    errors: ServoParameters
+    file: ServoParameters
+    unseen: tuple[str, ...]
+    rms: Array
+    judge_rms: Array
+    judge_file_rms: Array
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __str__(self) -> str:
+        found = self.parameters
+        lines = [f"{self.arm.name}: " + ("identified" if self.ok else f"not identified: {self.reason}")]
+        lines.append(f"delay {1e3 * found.delay:.1f} +- {1e3 * self.errors.delay:.1f} ms")
+        for i, name in enumerate(self.arm.joint_names):
+            values = [
+                f"{kind} {getattr(found, kind)[i]:.3g} +- {getattr(self.errors, kind)[i]:.2g}".replace("_friction", "")
+                for kind in PER_JOINT
+            ]
+            errors = ", ".join(f"{1e3 * rms[i]:.2f}" for rms in (self.rms, self.judge_rms, self.judge_file_rms))
+            lines.append(f"{name}: {', '.join(values)}; error, that along the judge, and before: {errors} mrad")
+        if self.unseen:
+            lines.append(f"not shown, as in the file or relative to it: {', '.join(self.unseen)}")
+        return "\n".join(lines)
+
+    def positions(self, recording: Log) -> Array:
+        """The positions that the identified servos have along a recording's commands.
+
+        Args:
+            recording: A log with commands in `q_ref`; its first positions are where the simulation starts.
+
+        Returns:
+            (T, n) rad.
+
+        Raises:
+            InputError: The log has no commands, or is of other joints.
+        """
+        _check(self.arm, "recording", recording)
+        return ServoSimulation(self.arm, recording.dt).positions([self.parameters], recording)[0]
+
+    def applied_to(self, arm: Arm) -> Arm:
+        """The arm with the identified rotor inertia and Coulomb friction, for a controller; its motors stay torque motors.
+
+        Args:
+            arm: The arm that the recording is of.
+
+        Raises:
+            InputError: Nothing was identified, or the arm has other joints.
+        """
+        check_arm(arm)
+        if not self.ok:
+            raise InputError(f"estimate: {self.arm.name:.40}: not identified: {self.reason:.250}")
+        if arm.joint_names != self.arm.joint_names:
+            raise InputError(f"arm: {arm.name:.80} has other joints than {self.arm.name:.80}, which was identified")
+        model = copy.copy(arm.model)
+        set_rotors_and_friction(model, arm, self.parameters)
+        body = build_pinocchio_model(
+            model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
+        )
+        return replace(arm, model=model, pinocchio_model=body)
+
+    def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
+        """Writes the robot's MJCF with the identified rotor inertia and friction, and position servos with gains and delay.
+
+        Offsets belong to the measurement and are left out.
+
+        Args:
+            path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
+            source: The name or file that the arm was loaded from; the name of the arm if left out.
+
+        Raises:
+            InputError: As for `applied_to`, or the source is not that of the arm.
+            UnknownNameError: There is no robot of the name of the arm; give `source`.
+            ArmctlError: The file cannot be written.
+        """
+        path = file_path("path", path, (".xml",))
+        spec = edited_spec(self.arm, self.applied_to(self.arm).model, source)
+        for actuator in spec.actuators:
+            if actuator.target not in self.arm.joint_names:
+                continue
+            i = self.arm.joint_names.index(actuator.target)
+            limit = self.arm.limits.tau_max[i]
+            actuator.set_to_position(kp=self.parameters.stiffness[i], kv=self.parameters.damping[i])
+            actuator.gear = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+            actuator.ctrlrange = [self.arm.limits.q_min[i], self.arm.limits.q_max[i]]
+            actuator.forcerange = [-limit, limit] if np.isfinite(limit) else [0.0, 0.0]
+            actuator.delay = self.parameters.delay
+            actuator.nsample = int(np.ceil(self.parameters.delay / self.arm.dt)) + 1
+        write_text(path, spec.to_xml())
+        return path
+
+    def to_urdf(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the arm's chain as a URDF with the identified Coulomb friction; URDF has no rotor inertia and no servos.
+
+        Args:
+            path: The .urdf file; it is written atomically, and its folder is made.
+
+        Raises:
+            InputError: As for `applied_to`.
+            ArmctlError: The file cannot be written.
+        """
+        path = file_path("path", path, (".urdf",))
+        write_text(path, urdf_text(self.applied_to(self.arm)))
+        return path
+
+
+def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.PathLike[str] | None = None) -> ServoEstimate:
+    """Identifies the position servos of an arm from commanded and measured positions; no torques are needed.
+
+    MuJoCo's own model, with position servos, simulates the whole recording; least squares with bounds changes rotor inertia,
+    gains, Coulomb friction and offsets of all joints and one delay (output-error method: Ljung, "System Identification", 1999).
+    Masses of links are those of the file: gravity gives the torques their scale. Where it shows too little of it, the parameter
+    with the largest error keeps the file's value. Damping of a joint has the effect of its servo's, so the file's stays.
+
+    Args:
+        recording: A log with commands in `q_ref` and measured positions in `q`, at least 3 s, better 30, from a rest.
+            Fast motions show inertia and delay. `Log.from_positions` makes one.
+        judge: The log of another motion of the same arm, which the fit does not use.
+        source: The name or file that the arm was loaded from, for the gains to start with; the name of the arm if left out.
+
+    Returns:
+        The estimate. It is not ok, with a reason, if the positions of the judge are not predicted.
+
+    Raises:
+        InputError: A log has no commands, is too short or of other joints, or the source is not that of the arm.
+        UnknownNameError: There is no robot of the name of the arm; give `source`.
+    """
+    check_arm(arm)
+    _check(arm, "recording", recording)
+    _check(arm, "judge", judge)
+    if judge.q_ref.shape == recording.q_ref.shape and np.array_equal(judge.q_ref, recording.q_ref):
+        raise InputError("judge: it has the same commands as the recording; give another motion")
+    fit = _Fit(arm, recording, _of_file(arm, source))
+    fit.search()
+    fit.solve()
+    fit.drop_unseen()
+    if not fit.free.all():
+        fit.solve()
+    found = fit.parameters(fit.z)
+    along = ServoSimulation(arm, judge.dt).positions([found, fit.file], judge) - judge.q
+    judged = np.sqrt(np.mean(along[:, round(_SETTLING_S / judge.dt) :] ** 2, axis=1))
+    rms = np.sqrt(np.mean(fit.residuals(fit.z) ** 2, axis=0))
+    lag = np.sqrt(np.mean((judge.q_ref - judge.q) ** 2, axis=0))
+    return ServoEstimate(
+        ok=not (reason := _reason(arm, rms, lag, *judged)),
+        reason=reason,
+        arm=arm,
+        parameters=found,
+        errors=fit.standard_errors(),
+        file=fit.file,
+        unseen=tuple(fit.names[i] for i in np.flatnonzero(fit.unseen)),
+        rms=frozen(rms),
+        judge_rms=frozen(judged[0]),
+        judge_file_rms=frozen(judged[1]),
+    )
+
+
+def _reason(arm: Arm, rms: Array, lag: Array, judged: Array, by_file: Array) -> str:
+    """What the judge says against the estimate; empty if nothing."""
+    worst = int((judged / np.maximum(rms, np.finfo(float).tiny)).argmax())
+    if np.linalg.norm(judged) > np.linalg.norm(by_file):
+        return f"the file predicts the judge better: {1e3 * by_file.max():.3g} mrad instead of {1e3 * judged.max():.3g}"
+    if np.linalg.norm(judged) > _MAX_UNEXPLAINED * np.linalg.norm(lag):
+        share = 100 * np.linalg.norm(judged) / np.linalg.norm(lag)
+        return (
+            f"the error along the judge is {share:.0f} % of what positions differ from commands; check joints, units and limits"
+        )
+    if judged[worst] > _MAX_JUDGE_RATIO * rms[worst]:
+        errors = f"{1e3 * judged[worst]:.3g} mrad, along the recording {1e3 * rms[worst]:.3g}"
+        return f"{arm.joint_names[worst]:.60}: the error along the judge is {errors}; record a richer motion"
+    return ""
+
+
+def _check(arm: Arm, what: str, log: Log) -> None:
+    """Checks a recording with commands."""
+    instance(what, log, Log, "armctl.Log.from_positions makes one")
+    if log.joint_names != arm.joint_names:
+        raise InputError(
+            f"{what}: it is of the joints {', '.join(log.joint_names):.120}, the arm has {', '.join(arm.joint_names):.120}"
+        )
+    if not (np.isfinite(log.q).all() and np.isfinite(log.q_ref).all()):
+        raise InputError(f"{what}: q and q_ref must be finite; q_ref holds the commanded positions")
+    if len(log) * log.dt < _MIN_SECONDS:
+        raise InputError(f"{what}: expected at least {_MIN_SECONDS:g} s, got {len(log) * log.dt:.3g} s")
+
+
+def _of_file(arm: Arm, source: str | os.PathLike[str] | None) -> ServoParameters:
+    """The servos of the file that an arm was loaded from; gains of a default bandwidth where it has none."""
+    found = locate(arm.name if source is None else source)
+    spec, _ = found.read()
+    model = found.compile(spec)
+    inertia = np.diag(arm.mass_matrix(arm.limits.clamp(arm.home)))
+    armature = np.maximum(arm.model.dof_armature[arm.dof_adr], _MIN_INERTIA_SHARE * inertia)
+    stiffness = inertia * _BANDWIDTH**2
+    damping = 2.0 * inertia * _BANDWIDTH
+    for actuator in range(model.nactuator):
+        joint = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.actuator_trnid[actuator, 0]))
+        gear = model.actuator_gear[actuator, 0]
+        kp, kv = -model.actuator_biasprm[actuator, 1:3] * gear**2
+        is_on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT and joint in arm.joint_names
+        if is_on_joint and kp > 0.0:
+            i = arm.joint_names.index(joint)
+            stiffness[i] = kp
+            damping[i] = kv if kv > 0.0 else damping[i]
+    return ServoParameters(armature, stiffness, damping, arm.model.dof_frictionloss[arm.dof_adr].copy(), np.zeros(arm.n), 0.0)
+
+
+class _Fit:
+    """Parameters of servos fitted to a recording, in units in which they are about 1.
+
+    The armature is a logarithm over the file's value; stiffness and damping are logarithms of their ratio to the armature over
+    that of the file, and dry friction is in proportion to it. So an armature that is not shown is one coordinate, along which
+    finite differences are exact: sums of large columns that cancel would not be. Offsets are rad, the delay sampling periods.
+
+    Attributes:
+        z: (p,) the parameters.
+        free: (p,) False for those that keep the file's value.
+        unseen: (p,) True for those that the recording does not show.
+        file: The parameters of the file.
+        names: Their names.
+    """
+
+    def __init__(self, arm: Arm, log: Log, file: ServoParameters):
+        self.file = file
+        self._log = log
+        self._simulation = ServoSimulation(arm, log.dt)
+        self._from = round(_SETTLING_S / log.dt)
+        n = arm.n
+        self._n = n
+        typical = np.sqrt(np.mean((log.q_ref - log.q) ** 2, axis=0)) * file.stiffness
+        self._friction_unit = np.maximum(_FRICTION_SHARE * typical, np.finfo(float).tiny)
+        self.names = [f"{joint} {kind}" for kind in PER_JOINT for joint in arm.joint_names] + ["delay"]
+        self.z = np.zeros(5 * n + 1)
+        self.z[3 * n : 4 * n] = file.coulomb_friction / self._friction_unit
+        self._file_z = self.z.copy()
+        self._low = np.full(5 * n + 1, -np.log(_RANGE))
+        self._low[3 * n :] = np.concatenate([np.zeros(n), np.full(n, -1.0), [0.0]])
+        self._high = np.full(5 * n + 1, np.log(_RANGE))
+        self._high[3 * n :] = np.concatenate([np.full(n, np.inf), np.full(n, 1.0), [_MAX_DELAY_S / log.dt]])
+        still = np.ptp(log.q, axis=0) < _MIN_TRAVEL_RAD
+        self.free = ~np.concatenate([np.tile(still, 4), np.zeros(n + 1, bool)])
+        self.unseen = ~self.free
+        self._alone = np.zeros(len(self.z))
+        self._J = np.zeros((0, 0))
+
+    def parameters(self, z: Array) -> ServoParameters:
+        """The parameters in SI units."""
+        rows = z[:-1].reshape(5, self._n)
+        scale = np.exp(rows[0])
+        return ServoParameters(
+            armature=self.file.armature * scale,
+            stiffness=self.file.stiffness * scale * np.exp(rows[1]),
+            damping=self.file.damping * scale * np.exp(rows[2]),
+            coulomb_friction=self._friction_unit * scale * rows[3],
+            offset=rows[4],
+            delay=float(z[-1] * self._log.dt),
+        )
+
+    def residuals(self, z: Array) -> Array:
+        """(T, n) rad, simulated minus measured."""
+        return self._many([z])[0]
+
+    def search(self) -> None:
+        """Starts at the best of a grid of delays and stiffnesses."""
+        n = self._n
+        starts = []
+        for delay in _START_DELAYS:
+            for scale in _START_SCALES:
+                z = self.z.copy()
+                z[-1] = delay / self._log.dt
+                z[n : 2 * n] = np.log(scale)
+                z[2 * n : 3 * n] = 0.5 * np.log(scale)  # the same damping ratio
+                starts.append(np.where(self.free, z, self._file_z))
+        self.z = starts[int(np.argmin((self._many(starts) ** 2).sum(axis=(1, 2))))]
+
+    def solve(self) -> None:
+        """Fits the free parameters."""
+        from scipy.optimize import least_squares
+
+        free = self.free
+
+        def whole(x: Array) -> Array:
+            z = self._file_z.copy()
+            z[free] = x
+            return z
+
+        solve: Any = least_squares
+        found = solve(
+            lambda x: self.residuals(whole(x)).ravel(),
+            np.clip(self.z, self._low, self._high)[free],
+            lambda x: self._jacobian(whole(x))[:, free],
+            bounds=(self._low[free] - 1e-9, self._high[free]),
+            x_scale="jac",
+            ftol=_TOLERANCE,
+            xtol=_TOLERANCE,
+            max_nfev=_MAX_EVALUATIONS,
+        )
+        self.z = whole(found.x)
+        self._J = self._jacobian(self.z)
+
+    def drop_unseen(self) -> None:
+        """Gives parameters with large errors the file's value, the worst first, until the others are known relative to them."""
+        limit = np.full(len(self.z), 1.0 / (_MIN_RESIDUAL_MULTIPLE * np.sqrt(len(self._log))))
+        limit[3 * self._n : 4 * self._n] *= np.maximum(self.z[3 * self._n : 4 * self._n], 1.0)
+        limit[-1] = 1.0
+        self._alone = self._physical(self._covariance())
+        self.unseen = ~self.free | (self._alone > limit)
+        while True:
+            excess = np.sqrt(np.diag(self._covariance())) / limit
+            worst = int(excess.argmax())
+            if excess[worst] < 1.0:
+                break
+            self.free[worst] = False
+        self.unseen |= ~self.free
+
+    def standard_errors(self) -> ServoParameters:
+        """Standard errors in SI units."""
+        errors = np.where(self.unseen, self._alone, self._physical(self._covariance()))
+        rows = errors[:-1].reshape(5, self._n)
+        found = self.parameters(self.z)
+        return ServoParameters(
+            armature=found.armature * rows[0],
+            stiffness=found.stiffness * rows[1],
+            damping=found.damping * rows[2],
+            coulomb_friction=self._friction_unit * found.armature / self.file.armature * rows[3],
+            offset=rows[4],
+            delay=float(errors[-1] * self._log.dt),
+        )
+
+    def _physical(self, covariance: Array) -> Array:
+        """(p,) standard errors, relative ones of armature, stiffness and damping themselves instead of ratios."""
+        n = self._n
+        T = np.eye(len(self.z))
+        joints = np.arange(n)
+        T[n + joints, joints] = 1.0
+        T[2 * n + joints, joints] = 1.0
+        T[3 * n + joints, joints] = self.z[3 * n : 4 * n]
+        return np.sqrt(np.diag(T @ covariance @ T.T))
+
+    def _covariance(self) -> Array:
+        """(p, p), from the scores of blocks of each joint (sandwich estimate: White, 1982); 0 where not free."""
+        J = self._J[:, self.free]
+        inverse = np.linalg.pinv(J.T @ J)
+        scores = (J * self.residuals(self.z).reshape(-1, 1)).reshape(-1, self._n, J.shape[1])
+        edges = np.arange(0, len(scores), max(1, round(_BLOCK_S / self._log.dt)))
+        blocks = np.add.reduceat(scores, edges, axis=0).reshape(-1, J.shape[1])
+        covariance = np.zeros((len(self.z), len(self.z)))
+        covariance[np.ix_(self.free, self.free)] = inverse @ (blocks.T @ blocks) @ inverse
+        return covariance
+
+    def _jacobian(self, z: Array) -> Array:
+        """(T n, p), by forward differences."""
+        size = len(z)
+        J = self._many([z, *(z + _STEP * row for row in np.eye(size))])
+        return ((J[1:] - J[0]) / _STEP).transpose(1, 2, 0).reshape(-1, size)
+
+    def _many(self, candidates: Sequence[Array]) -> Array:
+        """(B, T, n) residuals after the settling."""
+        found = self._simulation.positions([self.parameters(z) for z in candidates], self._log)
+        return (found - self._log.q)[:, self._from :]

@@ -1,0 +1,126 @@
+"""Rollouts of position-controlled arms by MuJoCo's own model, many parameters at once, on threads."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from armctl.core.log import Log
+from armctl.core.validation import Array
+from armctl.robot.arm import Arm
+from armctl.sim.plant import brake, held_dofs
+
+_ROLLOUTS_AT_ONCE = 16  # bounds the memory of their states
+_SOLVER_TOLERANCE = 1e-12  # of dry friction, so that finite differences show parameters and not its rounding
+_LOST = 1e3  # rad, instead of positions that are not finite
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoParameters:
+    """The parameters of an arm's position servos: torque = stiffness (command - q) - damping v, within the torque limits.
+
+    Attributes:
+        armature: (n,) kg m^2, inertia of the rotors at the joints.
+        stiffness: (n,) N m/rad (kp of MuJoCo's position actuator).
+        damping: (n,) N m s/rad (its kv), beside the joint damping of the file.
+        coulomb_friction: (n,) N m (MuJoCo's frictionloss).
+        offset: (n,) rad, by which measured positions differ from those that are commanded.
+        delay: s, from a command until measured positions respond.
+    """
+
+    armature: Array
+    stiffness: Array
+    damping: Array
+    coulomb_friction: Array
+    offset: Array
+    delay: float
+
+
+class ServoSimulation:
+    """Simulates recordings of an arm with position servos."""
+
+    def __init__(self, arm: Arm, dt: float):
+        self.arm = arm
+        model = copy.copy(arm.model)
+        self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9))  # from one sample to the next
+        model.opt.timestep = dt / self._steps
+        # Without a reset, unstable candidates end in numbers that are not finite. Contacts would take most of the time.
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        model.opt.tolerance = _SOLVER_TOLERANCE
+        self._actuators = arm.model.actuator_ctrladr.searchsorted(arm.ctrl_adr)
+        model.actuator_delay[:] = 0.0
+        model.actuator_ctrllimited[self._actuators] = 0
+        model.actuator_biastype[self._actuators] = int(mujoco.mjtBias.mjBIAS_AFFINE)
+        limit = arm.limits.tau_max / np.abs(arm.gear)
+        model.actuator_forcelimited[self._actuators] = np.isfinite(limit)
+        model.actuator_forcerange[self._actuators] = np.column_stack([-limit, limit])
+        self._model = model
+        self._data = mujoco.MjData(model)
+
+    def positions(self, candidates: list[ServoParameters], log: Log) -> Array:
+        """(B, T, n) rad, the measured positions along a recording's commands for each candidate."""
+        from mujoco import rollout
+
+        found = np.empty((len(candidates), len(log), self.arm.n))
+        threads = [mujoco.MjData(self._model) for _ in range(min(len(candidates), len(os.sched_getaffinity(0))))]
+        for first in range(0, len(candidates), _ROLLOUTS_AT_ONCE):
+            part = candidates[first : first + _ROLLOUTS_AT_ONCE]
+            states, _ = rollout.rollout(
+                [self.model(each) for each in part],
+                threads,
+                np.array([self._start(log, each) for each in part]),
+                np.array([self._controls(log, each.delay) for each in part]),
+            )
+            columns = 1 + self.arm.qpos_adr  # behind the time
+            moved = np.asarray(states)[:, self._steps - 1 :: self._steps, columns]
+            found[first : first + len(part), 1:] = np.where(np.isfinite(moved), np.clip(moved, -_LOST, _LOST), _LOST)
+            found[first : first + len(part), 0] = [log.q[0] - each.offset for each in part]
+        return found + np.array([each.offset for each in candidates])[:, None]
+
+    def model(self, parameters: ServoParameters) -> mujoco.MjModel:
+        """The model with position servos on its joints; all other joints are braked."""
+        model = copy.copy(self._model)
+        gear = self.arm.gear
+        set_rotors_and_friction(model, self.arm, parameters)
+        model.actuator_gainprm[self._actuators, 0] = parameters.stiffness / gear
+        model.actuator_biasprm[self._actuators, 0] = 0.0
+        model.actuator_biasprm[self._actuators, 1] = -parameters.stiffness / gear**2
+        model.actuator_biasprm[self._actuators, 2] = -parameters.damping / gear**2
+        brake(model, held_dofs(self.arm))
+        return model
+
+    def _start(self, log: Log, parameters: ServoParameters) -> Array:
+        """The state at rest where the recording begins."""
+        kind = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_resetData(self._model, self._data)
+        self._data.qpos[:] = self.arm.qpos(log.q[0] - parameters.offset)
+        state = np.empty(mujoco.mj_stateSize(self._model, kind))
+        mujoco.mj_getState(self._model, self._data, state, kind)
+        return state
+
+    def _controls(self, log: Log, delay: float) -> Array:
+        """(steps, nctrl), commands that are held from sample to sample, late by a delay; steps have the mean over them.
+
+        A mean changes continuously with the delay, so that least squares can find it.
+        """
+        controls = np.tile(self.arm.home_ctrl, ((len(log) - 1) * self._steps, 1))
+        before = delay + log.dt
+        times = np.concatenate([[-before], np.arange(len(log)) * log.dt])
+        edges = np.arange(len(controls) + 1) * (log.dt / self._steps) - delay
+        for joint, address in enumerate(self.arm.ctrl_adr):
+            command = log.q_ref[:, joint]
+            integral = np.concatenate([[-before * command[0], 0.0], np.cumsum(command[:-1]) * log.dt])
+            controls[:, address] = np.diff(np.interp(edges, times, integral)) * (self._steps / log.dt)
+        return controls
+
+
+def set_rotors_and_friction(model: mujoco.MjModel, arm: Arm, parameters: ServoParameters) -> None:
+    """Gives a model rotor inertia and dry friction, in place."""
+    model.dof_armature[arm.dof_adr] = parameters.armature
+    model.dof_frictionloss[arm.dof_adr] = parameters.coulomb_friction
+    mujoco.mj_setConst(model, mujoco.MjData(model))

@@ -1,0 +1,173 @@
+"""The position servos of an arm are found from commanded and measured positions; another motion is the judge."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import armctl
+
+DT = 0.02
+SECONDS = 8.0
+STEP = 0.0005  # of the real arm: a quarter of the model's
+COUNT = 2 * np.pi / 4096
+DELAY = 0.033
+TRUE = {
+    "armature": np.array([0.02, 0.03]),
+    "stiffness": np.array([17.0, 22.0]),
+    "damping": np.array([0.7, 0.5]),
+    "coulomb_friction": np.array([0.04, 0.06]),
+    "offset": np.array([0.01, -0.006]),
+}
+ARM = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/><worldbody>
+<body name="A" pos="0 0 0.3"><joint name="a" axis="{axis}" range="-1.5 1.5" armature="{armature[0]}" frictionloss="{loss[0]}"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.12" size="0.02" mass="0.2" contype="0"/>
+<body name="B" pos="0 0 0.12"><joint name="b" axis="{axis}" range="-1.5 1.5" armature="{armature[1]}" frictionloss="{loss[1]}"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.15" size="0.02" mass="0.2" contype="0"/><site name="tip" pos="0 0 0.15"/></body></body>
+</worldbody><actuator>{motors}</actuator></mujoco>"""
+SERVO = '<position name="{0}" joint="{0}" kp="{1}" kv="{2}" ctrlrange="-1.5 1.5" forcerange="-40 40"/>'
+
+
+def text(armature, stiffness, damping, loss, axis="0 1 0"):
+    motors = "".join(SERVO.format(*row) for row in zip("ab", stiffness, damping, strict=True))
+    return ARM.format(armature=armature, loss=loss, motors=motors, axis=axis)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "servos.xml"
+    path.write_text(text([0.01, 0.01], [30, 30], [1, 1], [0.02, 0.02]))
+    return path
+
+
+def commands(seed):
+    """(T, 2) rad, smooth motions between random positions, twice a second, from rest."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, SECONDS, DT)
+    knots = np.concatenate([np.zeros((2, 2)), rng.uniform(-1, 1, (int(2 * SECONDS), 2))])
+    share = np.clip(2.0 * (2.0 * t % 1.0), 0.0, 1.0)[:, None]  # a ramp, then a stop
+    before = knots[(2 * t).astype(int)]
+    after = knots[(2 * t).astype(int) + 1]
+    return before + (after - before) * share * share * (3 - 2 * share)
+
+
+def measured(command, axis="0 1 0"):
+    """What encoders of 12 bits read of the real arm, stepped by MuJoCo."""
+    model = mujoco.MjModel.from_xml_string(
+        text(TRUE["armature"], TRUE["stiffness"], TRUE["damping"], TRUE["coulomb_friction"], axis)
+    )
+    model.opt.timestep = STEP
+    data = mujoco.MjData(model)
+    steps = round(DT / STEP)
+    lag = round(DELAY / STEP)
+    q = []
+    for tick in range(-50, len(command)):
+        if tick >= 0:
+            q.append(data.qpos.copy())
+        for step in range(steps):
+            data.ctrl[:] = command[max(0, (tick * steps + step - lag) // steps)]
+            mujoco.mj_step(model, data)
+    return np.round((np.array(q) + TRUE["offset"]) / COUNT) * COUNT
+
+
+def recorded(arm, seed, axis="0 1 0"):
+    command = commands(seed)
+    return armctl.Log.from_positions(DT, measured(command, axis), command, joint_names=arm.joint_names)
+
+
+@pytest.fixture(scope="module")
+def known(file):
+    arm = armctl.load(file)
+    return arm, armctl.identify_servo(arm, recorded(arm, 1), judge=recorded(arm, 2), source=file)
+
+
+def test_parameters_are_those_of_the_real_servos(known):
+    _, found = known
+    assert found, found.reason
+    assert found.unseen == ()
+    for name, true in TRUE.items():
+        assert getattr(found.parameters, name) == pytest.approx(true, rel=0.1), name
+    assert found.parameters.delay == pytest.approx(DELAY, rel=0.1)
+    assert 0 < found.errors.delay < 1e-3
+
+
+def test_another_motion_is_predicted_to_the_resolution_of_the_encoder(known):
+    arm, found = known
+    fresh = recorded(arm, 3)
+    error = (found.positions(fresh) - fresh.q)[15:]
+    assert np.sqrt(np.mean(error**2)) < 1.2 * COUNT / np.sqrt(12)
+    assert (found.judge_rms < 0.05 * found.judge_file_rms).all()
+
+
+def test_files_have_the_identified_servos(known, file, tmp_path):
+    arm, found = known
+    model = mujoco.MjModel.from_xml_path(str(found.to_mjcf(tmp_path / "new.xml", source=file)))
+    known = found.parameters
+    assert model.actuator_gainprm[:, 0] == pytest.approx(known.stiffness, rel=1e-5)
+    assert model.actuator_biasprm[:, 2] == pytest.approx(-known.damping, rel=1e-5)
+    assert model.dof_armature == pytest.approx(known.armature, rel=1e-5)
+    assert model.dof_frictionloss == pytest.approx(known.coulomb_friction, rel=1e-5)
+    assert model.actuator_delay == pytest.approx(known.delay, rel=1e-5)
+    # MuJoCo's own delay and servos move as the simulation of the fit does.
+    command = commands(3)
+    data = mujoco.MjData(model)
+    q = []
+    for row in command:
+        q.append(data.qpos.copy())
+        data.ctrl[:] = row
+        mujoco.mj_step(model, data, round(DT / model.opt.timestep))
+    simulated = found.positions(armctl.Log.from_positions(DT, np.zeros_like(command), command, joint_names=arm.joint_names))
+    assert np.abs(np.array(q) + known.offset - simulated)[25:].max() < 5e-3
+    urdf = armctl.load(found.to_urdf(tmp_path / "new.urdf"), tip="tip")
+    assert urdf.model.dof_frictionloss[urdf.dof_adr] == pytest.approx(known.coulomb_friction)
+    assert found.applied_to(arm).mass_matrix(arm.home)[1, 1] > arm.mass_matrix(arm.home)[1, 1]
+
+
+def test_without_gravity_the_scale_is_not_shown(tmp_path):
+    """Both joints turn about the vertical, with links on their axes: positions show ratios only."""
+    path = tmp_path / "vertical.xml"
+    path.write_text(text([0.01, 0.01], [30, 30], [1, 1], [0.02, 0.02], "0 0 1"))
+    arm = armctl.load(path)
+    found = armctl.identify_servo(arm, recorded(arm, 1, "0 0 1"), judge=recorded(arm, 2, "0 0 1"), source=path)
+    assert found, found.reason
+    assert {"a stiffness", "b stiffness"} <= set(found.unseen)
+    ratio = TRUE["stiffness"] / TRUE["armature"]
+    assert found.parameters.stiffness / found.parameters.armature == pytest.approx(ratio, rel=0.1)
+    assert found.parameters.delay == pytest.approx(DELAY, rel=0.1)
+
+
+def test_a_judge_that_moves_otherwise_rejects(known, file):
+    arm, _ = known
+    judge = recorded(arm, 2)
+    judge = replace(judge, q=judge.q + 0.05 * np.sin(3 * judge.t)[:, None])
+    found = armctl.identify_servo(arm, recorded(arm, 1), judge=judge, source=file)
+    assert not found
+    assert "along the judge" in found.reason
+    with pytest.raises(armctl.InputError, match="not identified"):
+        found.applied_to(arm)
+
+
+def test_bad_recordings_are_one_sentence(known, file):
+    arm, _ = known
+    log = recorded(arm, 1)
+    with pytest.raises(armctl.InputError, match="judge: it has the same commands"):
+        armctl.identify_servo(arm, log, judge=log, source=file)
+    with pytest.raises(armctl.InputError, match="q_ref holds the commanded positions"):
+        armctl.identify_servo(arm, replace(log, q_ref=np.full_like(log.q, np.nan)), judge=log, source=file)
+    short = armctl.Log.from_positions(DT, log.q[:100], log.q_ref[:100], joint_names=arm.joint_names)
+    other = armctl.Log.from_positions(DT, log.q, log.q_ref, joint_names=("x", "y"))
+    with pytest.raises(armctl.InputError, match="at least 3 s"):
+        armctl.identify_servo(arm, short, judge=log, source=file)
+    with pytest.raises(armctl.InputError, match="expected the shape of q"):
+        armctl.Log.from_positions(DT, log.q, log.q_ref[:9], joint_names=arm.joint_names)
+    with pytest.raises(armctl.InputError, match="it is of the joints"):
+        armctl.identify_servo(arm, other, judge=log, source=file)
+
+
+def test_a_log_of_positions_is_written_and_read(known, tmp_path):
+    arm, _ = known
+    log = recorded(arm, 1)
+    again = armctl.Log.load(log.save(tmp_path / "run.npz"))
+    assert np.array_equal(again.q, log.q)
+    assert np.array_equal(again.q_ref, log.q_ref)
