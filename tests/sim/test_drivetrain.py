@@ -263,3 +263,9 @@ def test_a_payload_and_an_identified_arm_keep_their_masses_behind_springs(arm):
     model = armctl.Plant(**SPRING).model(loaded)
     assert model.body_mass[: arm.model.nbody] == pytest.approx(loaded.model.body_mass)
     assert model.body_mass.sum() > arm.model.body_mass.sum() + 0.49
+
+
+def test_tune_says_that_a_law_takes_elastic_joints_as_rigid(arm):
+    found = armctl.tune(arm, "computed-torque", delay_margin=0.5, poses=1, plants=[armctl.Plant(**SPRING)])
+    assert not found
+    assert "on elastic joints, which it takes as rigid (ElasticFeedforward knows the springs)" in found.reason
