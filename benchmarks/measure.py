@@ -211,9 +211,9 @@ def frequency(arms: dict[str, armctl.Arm], args: argparse.Namespace) -> tuple[st
     head = ["arm", "seed", "points within bounds, %", "resonance, Hz", "error, %", "margins before: ms, Ms", "filter"]
     head += ["bandwidth x", "after, predicted", "after, true"]
     text = (
-        f"Each arm with a delay of {1e3 * DELAY_TICKS * TICK_S:g} ms, dry friction of {100 * FRICTION_SHARE:g} % of the torque limits, "
-        f"one elastic joint and encoder noise of {ENCODER_NOISE:g} rad, by PD with gravity compensation. "
-        f"{100 * total.mean():.1f} % of {len(total)} points are within the stated bounds of 95 %.\n\n"
+        f"Each arm with a delay of {1e3 * DELAY_TICKS * TICK_S:g} ms, one elastic joint, dry friction of "
+        f"{100 * FRICTION_SHARE:g} % of the torque limits and encoder noise of {ENCODER_NOISE:g} rad, by PD with gravity "
+        f"compensation. {100 * total.mean():.1f} % of {len(total)} points are within the stated bounds of 95 %.\n\n"
     )
     return "Frequency responses from recordings", text + markdown_table(head, rows)
 
