@@ -26,6 +26,7 @@ PUSH_S = 0.1
 PUSHES = 30
 CHANGES = ((1.05, 0.0), (0.95, 0.005))  # factor on masses, dry friction as a share of the torque limits
 MOTION_POINTS = 4
+OPTIONS = '<mujoco><compiler angle="radian"/><option integrator="implicitfast"/>'
 JUDGED_HZ = np.geomspace(0.5, 200.0, 20_000)
 
 
@@ -56,7 +57,7 @@ def six_joints(folder: Path) -> armctl.Arm:
     """The arm of the other benchmark, with the integrator of the robots."""
     synthetic(folder)
     path = folder / "arm.xml"
-    text = path.read_text(encoding="utf-8").replace("<mujoco>", '<mujoco><option integrator="implicitfast"/>')
+    text = path.read_text(encoding="utf-8").replace("<mujoco>", OPTIONS)
     path.write_text(text, encoding="utf-8")
     return armctl.load(path)
 
