@@ -151,7 +151,7 @@ class ServoEstimate:
             actuator.ctrlrange = [self.arm.limits.q_min[i], self.arm.limits.q_max[i]]
             actuator.forcerange = [-limit, limit] if np.isfinite(limit) else [0.0, 0.0]
             actuator.delay = self.parameters.delay
-            actuator.nsample = int(np.ceil(self.parameters.delay / self.arm.dt)) + 1
+            actuator.nsample = int(np.ceil(self.parameters.delay / self.arm.dt)) + 1 if self.parameters.delay > 0.0 else 0
         write_text(path, spec.to_xml())
         return path
 
@@ -319,7 +319,7 @@ class _Fit:
             damping=self.file.damping * scale * np.exp(rows[2]),
             coulomb_friction=self._friction_unit * scale * rows[3],
             offset=rows[4],
-            delay=float(z[-1] * self._log.dt),
+            delay=max(float(z[-1] * self._log.dt), 0.0),
         )
 
     def residuals(self, z: Array) -> Array:

@@ -67,7 +67,7 @@ class ServoSimulation:
         from mujoco import rollout
 
         found = np.empty((len(candidates), len(log), self.arm.n))
-        threads = [mujoco.MjData(self._model) for _ in range(min(len(candidates), len(os.sched_getaffinity(0))))]
+        threads = [mujoco.MjData(self._model) for _ in range(min(len(candidates), os.cpu_count() or 1))]
         for first in range(0, len(candidates), _ROLLOUTS_AT_ONCE):
             part = candidates[first : first + _ROLLOUTS_AT_ONCE]
             states, _ = rollout.rollout(
