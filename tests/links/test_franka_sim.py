@@ -61,4 +61,5 @@ def test_no_command_is_refused_that_the_check_passed(address: str, speed: float)
             if robot.fault:
                 robot.recover()
     print(f"speed {speed}: {without_loss} of {MOTIONS} motions without a lost tick, {len(refused)} refused", file=sys.stderr)
+    assert without_loss > 0, "every motion lost a tick: the computer is too busy for this test"
     assert refused == []
