@@ -12,7 +12,8 @@ from armctl.control.hand_guiding import HandGuiding
 from armctl.core.errors import InputError, PlanError
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, choice, instance, number
-from armctl.motion import JointTrajectory, move_j
+from armctl.motion.move_j import move_j
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm
 from armctl.sim.recorder import Recorder
 
