@@ -103,7 +103,7 @@ def servos(seed: int) -> str:
     """Desk arms of five joints whose lengths, masses and servos are drawn at random; the file has other servos."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for case, (backlash, stick) in enumerate(((0.0, 0.0), (0.15, 0.3), (0.15, 0.3), (0.15, 0.3), (0.5, 0.3))):
+        for case, (backlash, stick) in enumerate(((0.0, 0.0), (0.15, 0.3), (0.15, 0.3), (0.5, 0.3))):
             desk = DeskArm(np.random.default_rng([seed, case]), np.deg2rad(backlash), stick)
             path = Path(folder) / f"desk{case}.xml"
             path.write_text(desk.file(), encoding="utf-8")

@@ -301,7 +301,7 @@ def build() -> str | None:
     """Builds the compiled core of the copy; returns what the compiler printed if it could not."""
     command = [sys.executable, "packaging/build_backend/armctl_build.py"]
     environment = {**os.environ, "PYTHONPATH": str(WORK)}
-    done = subprocess.run(command, cwd=WORK, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
+    done = subprocess.run(command, cwd=WORK, env=environment, capture_output=True, text=True)
     return None if done.returncode == 0 else done.stdout + done.stderr
 
 

@@ -36,9 +36,6 @@ _MAX_EVALUATIONS = 25
 _TOLERANCE = 1e-4
 _SETTLING_S = 0.3  # at the beginning, where the state of the arm is not known
 _BLOCK_S = 0.5  # over which residuals may be correlated
-# A parameter is not shown if an e-fold change, with all others adapted to it, moves its joint by less than this multiple of the
-# residuals: smaller effects drown in what the model leaves out, whatever the number of samples says.
-_MIN_RESIDUAL_MULTIPLE = 2.0
 _MIN_TRAVEL_RAD = 0.02
 _MIN_SECONDS = 3.0
 _MAX_JUDGE_RATIO = 2.0  # of the error at the judge over that at the recording
@@ -369,7 +366,9 @@ class _Fit:
 
     def drop_unseen(self) -> None:
         """Gives parameters with large errors the file's value, the worst first, until the others are known relative to them."""
-        limit = np.full(len(self.z), 1.0 / (_MIN_RESIDUAL_MULTIPLE * np.sqrt(len(self._log))))
+        # An e-fold change of a parameter, with all others adapted to it, must move its joint by as much as the residuals.
+        # Smaller effects drown in what the model leaves out, whatever the number of samples says.
+        limit = np.full(len(self.z), 1.0 / np.sqrt(len(self._log)))
         limit[3 * self._n : 4 * self._n] *= np.maximum(self.z[3 * self._n : 4 * self._n], 1.0)
         limit[-1] = 1.0
         self._alone = self._physical(self._covariance())
@@ -381,10 +380,13 @@ class _Fit:
                 break
             self.free[worst] = False
         self.unseen |= ~self.free
+        if self.unseen.any():  # all joints show the delay: it must not make up for the file's values of single joints
+            self.free[-1] = False
+            self._file_z[-1] = self.z[-1]
 
     def standard_errors(self) -> ServoParameters:
         """Standard errors in SI units."""
-        errors = np.where(self.unseen, self._alone, self._physical(self._covariance()))
+        errors = np.where(self.unseen | ~self.free, self._alone, self._physical(self._covariance()))
         rows = errors[:-1].reshape(5, self._n)
         found = self.parameters(self.z)
         return ServoParameters(

@@ -19,17 +19,11 @@ def fuzz_seed(request: pytest.FixtureRequest) -> int:
 
 
 @pytest.fixture
-def fuzz_minutes(request: pytest.FixtureRequest) -> float:
-    """Time for all tests together, `--fuzz-minutes`, 0 in the suite."""
-    return request.config.getoption("--fuzz-minutes")
-
-
-@pytest.fixture
-def fuzz_seconds(request: pytest.FixtureRequest, fuzz_minutes: float) -> float:
+def fuzz_seconds(request: pytest.FixtureRequest) -> float:
     """Time for one test: its share of `--fuzz-minutes`, 0 in the suite."""
     tests = sum("fuzz_seconds" in getattr(item, "fixturenames", ()) for item in request.session.items)
     workers = min(int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")), tests)
-    return 60.0 * fuzz_minutes * workers / tests
+    return 60.0 * request.config.getoption("--fuzz-minutes") * workers / tests
 
 
 @pytest.fixture

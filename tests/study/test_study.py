@@ -166,8 +166,8 @@ class Slow:
         future.set_result(fn(runs))
         time.sleep(0.3)
         return future
-from armctl.study import execution
-execution._MAX_PENDING = 1
+import armctl.study.study as module
+module._MAX_PENDING = 1
 study.run(Slow(), folder=sys.argv[2])
 """
 

@@ -15,7 +15,7 @@ from armctl.motion.trajectory.piecewise import Pieces
 
 RATIO_TOLERANCE = 1e-6  # relative, of velocity, acceleration and jerk
 POSITION_TOLERANCE = 1e-9  # rad (m); not relative, because a joint's stop does not grow with its range
-_ROOT_STEPS = 14  # of Newton's method between two turning points
+_ROOT_STEPS = 11  # of Newton's method between two turning points
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 _PER_TIME = ("", "/s", "/s^2", "/s^3")
 
@@ -224,7 +224,15 @@ def _roots(p: Array) -> Array:
     low = np.concatenate([np.zeros_like(turns[:1]), turns])
     high = np.concatenate([turns, np.ones_like(turns[:1])])
     is_positive = _evaluated(p, low) > 0
-    x = 0.5 * (low + high)
+    roots = 0.5 * (low + high)
+    crosses = is_positive != (_evaluated(p, high) > 0)
+    _, piece, joint = np.nonzero(crosses)
+    p = p[:, piece, joint]
+    slope = slope[:, piece, joint]
+    low = low[crosses]
+    high = high[crosses]
+    is_positive = is_positive[crosses]
+    x = roots[crosses]
     for _ in range(_ROOT_STEPS):
         value = _evaluated(p, x)
         is_before = (value > 0) == is_positive
@@ -232,7 +240,8 @@ def _roots(p: Array) -> Array:
         high = np.where(is_before, high, x)
         newton = x - value / _evaluated(slope, x)
         x = np.where((low <= newton) & (newton <= high), newton, 0.5 * (low + high))
-    return x
+    roots[crosses] = x
+    return roots
 
 
 def _clamped(x: Array) -> Array:
