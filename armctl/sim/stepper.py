@@ -154,7 +154,6 @@ class Stepper:
         self.data = mujoco.MjData(model)
         self.actuation = train.actuation
         self._train = train
-        # The links of a file's elastic joints are no entries of MuJoCo's arrays.
         self._joints = self.actuation.qpos_adr if train.springs else _index(self.actuation.qpos_adr)
         self._dofs = self.actuation.dof_adr if train.springs else _index(self.actuation.dof_adr)
         self._motors = _index(self.actuation.ctrl_adr)
