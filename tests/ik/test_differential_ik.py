@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.optimize
-from armctl.ik.quadratic_program import QuadraticProgram
 from arms import ARMS, arm_of
 from collidable import arm_among, capsule_gaps, placed
 
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose
 from armctl.collision.checkers import collision_checker
+from armctl.ik.differential import QuadraticProgram
 from armctl.ik.tasks import ClearanceLimit, null_step
 from armctl.loading.catalog import BUNDLED
 
