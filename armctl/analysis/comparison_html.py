@@ -32,14 +32,9 @@ _FILM_PX = (320, 240)
 
 
 def write_comparison(reports: Sequence[Report], folder: Path, motion: str, film_of: Arm | None = None) -> list[Path]:
-    """Writes a comparison as comparison.json, comparison.md and comparison.html, each atomically.
+    """Writes the reports of one arm and one motion, plant by plant, as comparison.json, comparison.md and comparison.html.
 
-    Args:
-        reports: The reports of one arm and one motion, plant by plant.
-        folder: The folder of the three files; it is made.
-        motion: What was followed, in words.
-        film_of: The arm, to show a film of the run with the largest error beside each table. Without OpenGL or an encoder there
-            is none.
+    With `film_of` a film of the run with the largest error is beside each table, unless OpenGL or an encoder is missing.
     """
     title = f"Controllers compared on {reports[0].robot}"
     conditions = _conditions(reports[0].log, motion)

@@ -16,15 +16,10 @@ _END_SHARE = 0.25  # of the path at each end, where the speed is not evaluated (
 
 
 class Spread(NamedTuple):
-    """How accurate and how repeatable a figure is.
+    """How accurate and how repeatable a figure is."""
 
-    Attributes:
-        accuracy: The mean of the attained values minus the commanded value.
-        repeatability: Three standard deviations.
-    """
-
-    accuracy: float
-    repeatability: float
+    accuracy: float  # the mean of the attained values minus the commanded value
+    repeatability: float  # three standard deviations
 
 
 class Stabilisation(NamedTuple):
@@ -35,37 +30,22 @@ class Stabilisation(NamedTuple):
 
 
 class PathSpeed(NamedTuple):
-    """Clause 8.6, path velocity characteristics, as fractions of the commanded speed.
+    """Clause 8.6, path velocity characteristics, as fractions of the commanded speed."""
 
-    Attributes:
-        accuracy: AV, the mean attained speed minus the commanded one.
-        repeatability: RV, three standard deviations of the mean speeds of the cycles.
-        fluctuation: FV, the largest difference between two speeds within one cycle.
-    """
-
-    accuracy: float
-    repeatability: float
-    fluctuation: float
+    accuracy: float  # AV, the mean attained speed minus the commanded one
+    repeatability: float  # RV, three standard deviations of the mean speeds of the cycles
+    fluctuation: float  # FV, the largest difference between two speeds within one cycle
 
 
 class Corner(NamedTuple):
-    """Clause 8.5, cornering deviations, m.
+    """Clause 8.5, cornering deviations, m."""
 
-    Attributes:
-        round_off: CR, the smallest distance of the attained path from the corner.
-        overshoot: CO, the largest deviation from the second line behind the rounded corner.
-    """
-
-    round_off: float
-    overshoot: float
+    round_off: float  # CR, the smallest distance of the attained path from the corner
+    overshoot: float  # CO, the largest deviation from the second line behind the rounded corner
 
 
 def accuracy(offsets: Array) -> Spread:
-    """Clauses 7.2, AP and RP, or 8.2 and 8.3, AT and RT: the worst of the k poses or planes.
-
-    Args:
-        offsets: (cycles, k, 3) m, attained minus commanded.
-    """
+    """Clauses 7.2, AP and RP, or 8.2 and 8.3, AT and RT: the worst of the k poses or planes, by offsets (cycles, k, 3) m."""
     mean = offsets.mean(axis=0)
     apart = np.linalg.norm(offsets - mean, axis=2)
     repeatability = apart.mean(axis=0) + 3 * apart.std(axis=0, ddof=1)
@@ -73,11 +53,7 @@ def accuracy(offsets: Array) -> Spread:
 
 
 def orientation(angles: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Clause 7.2, AP_a, AP_b, AP_c and RP_a, RP_b, RP_c: of each angle the worst of the k poses.
-
-    Args:
-        angles: (cycles, k, 3) rad about the world's x, y and z, attained minus commanded.
-    """
+    """Clause 7.2, AP_a, AP_b, AP_c and RP_a, RP_b, RP_c: the worst of k poses, by angles (cycles, k, 3) rad about x, y, z."""
     worst_accuracy = np.abs(angles.mean(axis=0)).max(axis=0)
     worst_repeatability = 3 * angles.std(axis=0, ddof=1).max(axis=0)
     return tuple(worst_accuracy.tolist()), tuple(worst_repeatability.tolist())
@@ -99,11 +75,7 @@ def distance(first: Array, second: Array, commanded: float) -> Spread:
 
 
 def drift(offsets: Array) -> float:
-    """Clause 7.6, the drift of pose accuracy, m: between the first and the last third of the cycles, the worst of the poses.
-
-    Args:
-        offsets: (cycles, k, 3) m, attained minus commanded.
-    """
+    """Clause 7.6, the drift of pose accuracy, m, from the first to the last third of cycles, by offsets (cycles, k, 3) m."""
     third = max(1, len(offsets) // 3)
     first = np.linalg.norm(offsets[:third].mean(axis=0), axis=1)
     last = np.linalg.norm(offsets[-third:].mean(axis=0), axis=1)
@@ -130,12 +102,8 @@ def posing_time(log: Log, band: float) -> float:
 def deviations_in_planes(log: Log, start: Array, end: Array, duration: float, count: int = PLANES) -> Array:
     """(count, 3) m, where a path attains the planes normal to the commanded line, minus the line (8.1, 8.2).
 
-    Args:
-        log: The run; its first `duration` seconds are the motion.
-        start: (3,) m, where the line starts.
-        end: (3,) m, where it ends.
-        duration: s.
-        count: The number of planes, in the middle of equal sections of the line.
+    The planes are in the middle of equal sections of the line from `start` to `end`, (3,) m. The first `duration` seconds of
+    the log are the motion.
     """
     length = np.linalg.norm(end - start)
     line = (end - start) / length

@@ -41,11 +41,7 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
 
 
 def controller_by_name(name: str, arm: Arm) -> Controller:
-    """A controller with its default gains, by its name in `CONTROLLERS`.
-
-    Raises:
-        UnknownNameError: There is no controller of that name.
-    """
+    """A controller with its default gains, by its name in `CONTROLLERS`."""
     if name not in CONTROLLERS:
         raise UnknownNameError.of("controller", name, CONTROLLERS)
     return CONTROLLERS[name](arm)

@@ -15,11 +15,7 @@ class ArmController(CompiledController):
     """A controller for an arm."""
 
     def __new__(cls, *args: object, **keywords: object) -> Self:
-        """A controller, not yet constructed.
-
-        Raises:
-            TypeError: It takes no such keyword; the message says which.
-        """
+        """A controller, not yet constructed; a TypeError says which keyword it does not take."""
         check_keywords(cls, keywords)
         return super().__new__(cls)
 

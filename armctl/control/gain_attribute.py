@@ -20,11 +20,7 @@ class Gain(Generic[_Checked]):
     """An attribute of a controller that is checked where it is given or assigned."""
 
     def __init__(self, check: Callable[[str, Any, int], _Checked]):
-        """A gain.
-
-        Args:
-            check: Gives the checked value for the name of the attribute, the value, and the number of joints.
-        """
+        """A gain; `check` gives the checked value for the name of the attribute, the value, and the number of joints."""
         self._check = check
 
     def __set_name__(self, owner: type, name: str) -> None:

@@ -56,21 +56,13 @@ MAX_BANDWIDTH = 1e6  # rad/s, and the bound of damping ratios: a thousand times 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledInertia:
-    """Mass matrices of an arm at `sample_configurations`, and what gravity does there.
+    """Mass matrices of an arm at `sample_configurations`, and what gravity does there."""
 
-    Attributes:
-        configurations: (k, n) rad.
-        mass: (k, n, n) kg m^2, the mass matrices M.
-        mobility: (k, n, n) 1/(kg m^2), their inverses.
-        gravity_stiffness: (k, n, n) N m/rad, the derivatives of the torques that hold the arm.
-        damping: (n,) N m s/rad, of the model's joints.
-    """
-
-    configurations: Array
-    mass: Array
-    mobility: Array
-    gravity_stiffness: Array
-    damping: Array
+    configurations: Array  # (k, n) rad
+    mass: Array  # (k, n, n) kg m^2, the mass matrices M
+    mobility: Array  # (k, n, n) 1/(kg m^2), their inverses
+    gravity_stiffness: Array  # (k, n, n) N m/rad, the derivatives of the torques that hold the arm
+    damping: Array  # (n,) N m s/rad, of the model's joints
 
 
 _sampled: WeakKeyDictionary[Arm, SampledInertia] = WeakKeyDictionary()
@@ -78,11 +70,7 @@ _extra: WeakKeyDictionary[Arm, dict[tuple[float, float, float], Array]] = WeakKe
 
 
 def sampled_inertia(arm: Arm) -> SampledInertia:
-    """The `SampledInertia` of an arm, computed once per arm.
-
-    Raises:
-        ModelError: A mass matrix is numerically singular.
-    """
+    """The `SampledInertia` of an arm, computed once per arm."""
     found = _sampled.get(arm)
     if found is not None:
         return found
@@ -145,15 +133,9 @@ def sample_configurations(arm: Arm) -> Array:
 
 
 def effective_inertia(arm: Arm) -> Array:
-    """The inertia that each motor accelerates if the other joints are free, 1 / (M^-1)_ii, (k, n) kg m^2.
+    """The inertia that each motor accelerates if the other joints are free, 1 / (M^-1)_ii, (k, n) kg m^2, at the samples.
 
     M_ii, the inertia with the other joints locked, is up to 21 times larger where joint axes are parallel.
-
-    Args:
-        arm: The arm; evaluated at `sample_configurations`.
-
-    Raises:
-        ModelError: A mass matrix is numerically singular.
     """
     return 1 / np.diagonal(sampled_inertia(arm).mobility, axis1=1, axis2=2)
 
@@ -172,14 +154,10 @@ def required_delay(dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) -> float
 
 
 def max_damping_rate(stiffness_per_damping: float, dt: float) -> float:
-    """The largest damping / inertia, 1/s, with which a joint has the required delay margin.
+    """The largest damping / inertia, 1/s, with which a joint has the required delay margin, for b = stiffness / damping, 1/s.
 
     The loop of a joint of inertia 1 with damping d and stiffness b d is d (s + b) / s^2. With y the product of crossover
     frequency and delay T, the delay at which it becomes unstable follows from b T = y / tan(y) and d T = y sin(y).
-
-    Args:
-        stiffness_per_damping: b, 1/s.
-        dt: s, the control period.
     """
     delay = required_delay(dt)
     product = stiffness_per_damping * delay
@@ -196,31 +174,22 @@ def max_damping_rate(stiffness_per_damping: float, dt: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeedbackGains:
-    """Gains of each joint, and what they cost.
+    """Gains of each joint, and what they cost."""
 
-    Attributes:
-        stiffness: (n,) N m/rad (Kp).
-        damping: (n,) N m s/rad (Kd).
-        gravity_excess: Stiffness that gravity needs / stiffness that the peak sensitivity allows a PD, in the worst joint, at
-            least 1. Above 8, the gains do not satisfy the bounds.
-    """
-
-    stiffness: Array
-    damping: Array
+    stiffness: Array  # (n,) N m/rad (Kp)
+    damping: Array  # (n,) N m s/rad (Kd)
+    # stiffness that gravity needs / stiffness that the peak sensitivity allows a PD, in the worst joint, at least 1; above 8,
+    # the gains do not satisfy the bounds
     gravity_excess: float
 
 
 def margin_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) -> FeedbackGains:
-    """The stiffest PD gains with a sufficient delay margin and peak sensitivity in all sampled configurations.
+    """The stiffest PD gains with a sufficient delay margin, s, and peak sensitivity in all sampled configurations.
 
     The ratios of the dampings D make the eigenvalues of M^-1 D as equal as a diagonal matrix can. If stiffness is b D with one
     b for all joints, the loop consists of n independent ones, d (s + b) / s^2, where d is an eigenvalue of M^-1 D, and the
     sensitivity of a joint is a convex combination of theirs. The largest d of all configurations has the delay margin, the
     smallest the peak sensitivity. Damping in the model allows more stiffness. Where gravity needs more, the peak is higher.
-
-    Args:
-        dt: s, the control period.
-        delay_margin: s, at least.
     """
     sampled = sampled_inertia(arm)
     scale = _damping_scale(effective_inertia(arm), np.diagonal(sampled.mass, axis1=1, axis2=2))
@@ -269,12 +238,8 @@ def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -
 
     Feedback in proportion to a negligible inertia would yield to any friction or payload. The inertia that the joint's motor
     accelerates at 1000 rad/s^2 is enough. With an added inertia E, the loop gain grows by the eigenvalues of 1 + M^-1 E; the
-    delay margin bounds the largest one, which a search over all configurations finds.
-
-    Args:
-        bandwidth: rad/s, of the feedback of the unit masses.
-        damping_ratio: Of that feedback.
-        dt: s, the control period.
+    delay margin bounds the largest one, which a search over all configurations finds. The bandwidth, rad/s, and the damping
+    ratio are those of the feedback of the unit masses.
     """
     known = _extra.setdefault(arm, {})
     key = (bandwidth, damping_ratio, dt)
@@ -311,16 +276,10 @@ def bandwidth_gains(
     stiffness: ArrayLike | None = None,
     damping: ArrayLike | None = None,
 ) -> FeedbackGains:
-    """Stiffness and damping of each joint, from a bandwidth unless given.
+    """Stiffness and damping of each joint, from a bandwidth, rad/s, unless given.
 
-    Args:
-        bandwidth: rad/s, the natural frequency of each joint's closed loop at its median inertia; 30 if None.
-        damping_ratio: 1 is critically damped.
-        stiffness: (n,) or one number for all joints, N m/rad (Kp), instead of bandwidth^2 x inertia.
-        damping: (n,) or one number for all joints, N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
-
-    Raises:
-        InputError: A gain is negative, not finite or of the wrong length.
+    The bandwidth, 30 rad/s if None, is the natural frequency of each joint's closed loop at its median inertia: the stiffness
+    is bandwidth^2 x inertia, and the damping 2 x damping_ratio x sqrt(stiffness x inertia).
     """
     bandwidth = number("bandwidth", DEFAULT_BANDWIDTH if bandwidth is None else bandwidth, 0.0, MAX_BANDWIDTH)
     scale = np.median(effective_inertia(arm), axis=0)
@@ -330,11 +289,7 @@ def bandwidth_gains(
 
 
 def gain(name: str, value: ArrayLike, n: int) -> Array:
-    """Validated gains, (n,), read-only; one number applies to all n.
-
-    Raises:
-        InputError: A gain is negative, not finite or not a number, or there are not n of them.
-    """
+    """Validated gains, (n,), read-only; one number applies to all n."""
     is_one_number = np.isscalar(value) or getattr(value, "ndim", None) == 0
     gains = vector(name, np.full(n, number(name, cast(float, value))) if is_one_number else value, n)
     if (gains < 0.0).any():

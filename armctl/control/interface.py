@@ -86,15 +86,7 @@ class Clock:
 
 
 def checked_period(dt: float, continuous: bool) -> tuple[float, bool]:
-    """The arguments of `CompiledController.make_law`, checked.
-
-    Args:
-        dt: s, the control period; 0 means continuous time.
-        continuous: Whether the arm moves continuously during the control period.
-
-    Raises:
-        InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-    """
+    """The arguments of `CompiledController.make_law`, checked."""
     return number("dt", dt, 0.0, MAX_PERIOD_S), flag("continuous", continuous)
 
 
@@ -298,11 +290,7 @@ def _check_arguments(state: Any, setpoint: object) -> None:
 
 
 def measured_wrench(state: State, controller: str) -> Array:
-    """The wrench of a state, (6,) N and N m.
-
-    Raises:
-        InputError: Nobody measures it, or it does not have 6 numbers.
-    """
+    """The wrench of a state, (6,) N and N m; InputError if nobody measures it."""
     if state.wrench is None:
         raise InputError(f"state.wrench: {controller} needs the measured wrench (6,); a Simulation measures it")
     if as_array("state.wrench", state.wrench).shape != (WRENCH_SIZE,):
@@ -316,12 +304,5 @@ def controller_name(controller: Controller) -> str:
 
 
 def has_compiled_law(controller: Controller, n: int) -> TypeGuard[CompiledController]:
-    """Whether a controller computes its torque by a compiled law for n joints and nothing else.
-
-    Args:
-        n: Joints of the arms.
-
-    Returns:
-        True if the compiled law is its whole law.
-    """
+    """Whether a controller computes its torque by a compiled law for n joints and nothing else."""
     return isinstance(controller, CompiledController) and controller.n == n and controller.is_compiled

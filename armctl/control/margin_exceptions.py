@@ -23,12 +23,9 @@ _FREQUENCIES = 60
 
 
 def margin_exceptions(arm: Arm) -> tuple[str, ...]:
-    """What the default gains of an arm do not satisfy, one sentence each.
+    """What the default gains of an arm do not satisfy, one sentence each; none if every controller has sufficient margins.
 
     It follows from inertia and gravity at sampled configurations, not from the loops themselves, as `armctl.margins` does.
-
-    Returns:
-        Sentences, none if every controller has a sufficient delay margin and peak sensitivity.
     """
     found = []
     peaks = {dt: _pd_peak_sensitivity(arm, dt) for dt in _PERIODS_S}

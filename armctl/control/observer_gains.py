@@ -41,34 +41,23 @@ _inertia_ratios: WeakKeyDictionary[Arm, float] = WeakKeyDictionary()  # computed
 
 @dataclass(frozen=True, slots=True)
 class ObserverGains:
-    """Bandwidths of computed torque with an observer.
+    """Bandwidths of computed torque with an observer."""
 
-    Attributes:
-        feedback: rad/s, the natural frequency of the error.
-        damping_ratio: Of the error.
-        estimate: rad/s, of the estimated velocity.
-        disturbance: rad/s, of the low-pass of the disturbance.
-    """
-
-    feedback: float
-    damping_ratio: float
-    estimate: float
-    disturbance: float
+    feedback: float  # rad/s, the natural frequency of the error
+    damping_ratio: float  # of the error
+    estimate: float  # rad/s, of the estimated velocity
+    disturbance: float  # rad/s, of the low-pass of the disturbance
 
 
 def observer_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) -> ObserverGains:
     """The bandwidths that suppress disturbances best with sufficient margins, with and without an unknown payload.
 
     Inverse dynamics make every joint a unit mass, so one design holds for all arms, and all joints have the same gains:
-    different ones would couple them. A payload divides the loop gain by the ratio in which it multiplies the inertia. The
-    error after a step of torque and that of a slow motion are minimal subject to the required delay margin and a peak
-    sensitivity of 1.6 without payload, a peak sensitivity of 2 with the ratio of `max_inertia_ratio`, and stability with
-    twice that ratio. With T the delay of `required_delay`, the formulas fit the results of that optimization for ratios of
-    1.2 to 4 and control periods of 1, 2 and 4 ms.
-
-    Args:
-        dt: s, the control period.
-        delay_margin: s, at least.
+    different ones would couple them. A payload divides the loop gain by the ratio in which it multiplies the inertia. The error
+    after a step of torque and that of a slow motion are minimal subject to the required delay margin and a peak sensitivity of
+    1.6 without payload, a peak sensitivity of 2 with the ratio of `max_inertia_ratio`, and stability with twice that ratio.
+    With T the delay of `required_delay`, the formulas fit the results of that optimization for ratios of 1.2 to 4 and control
+    periods of 1, 2 and 4 ms.
     """
     estimate = _estimate(arm)
     ratio = max_inertia_ratio(arm)
@@ -84,12 +73,7 @@ def observer_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S
 
 
 def feedback_estimate(arm: Arm, dt: float, bandwidth: float) -> float:
-    """The bandwidth, rad/s, of the estimated velocity for feedback without an observer of disturbances.
-
-    Args:
-        dt: s, the control period.
-        bandwidth: rad/s, of the feedback.
-    """
+    """The bandwidth, rad/s, of the estimated velocity for feedback, also in rad/s, without an observer of disturbances."""
     return max(_estimate(arm) / required_delay(dt), _MIN_ESTIMATE_PER_FEEDBACK * bandwidth)
 
 
@@ -117,12 +101,9 @@ def max_unknown_payload(arm: Arm) -> float:
 
 
 def min_effective_mass(arm: Arm, lever: float) -> float:
-    """The least mass, kg, that a force on a point beside the tip has to accelerate.
+    """The least mass, kg, that a force on a point beside the tip, at a lever in m, has to accelerate.
 
     Over `sample_configurations`, directions, and points along the axes of the world.
-
-    Args:
-        lever: m, from the tip to the points.
     """
     offsets = lever * np.vstack([np.eye(3), -np.eye(3)])
     largest = np.finfo(float).tiny
@@ -144,20 +125,13 @@ def max_held_payload(arm: Arm) -> float:
 
 
 def low_pass_weight(bandwidth: float, dt: float) -> float:
-    """The weight, 0 to 0.26, of the newest value in a low-pass.
-
-    Args:
-        bandwidth: rad/s of the low-pass, used if the control period is short enough for it.
-        dt: s, the control period.
-    """
+    """The weight, 0 to 0.26, of the newest value in a low-pass: of so many rad/s if the control period is short enough."""
     return -expm1(-min(bandwidth * dt, MAX_BANDWIDTH_TIMES_DT))
 
 
 def estimate_weights(bandwidth: float, dt: float) -> dict[str, float]:
     """How much the error of the predicted position corrects the estimated position and velocity, as arguments of a law.
 
-    Args:
-        bandwidth: rad/s of the estimate, whose two poles are equal.
-        dt: s, the control period.
+    The bandwidth, rad/s, is that of the estimate, whose two poles are equal.
     """
     return {"position_weight": -expm1(-2 * bandwidth * dt), "velocity_weight": expm1(-bandwidth * dt) ** 2}

@@ -23,17 +23,11 @@ def task_rows(arm: Arm) -> slice:
 
 
 class TipError(NamedTuple):
-    """The pose error of the tip.
+    """The pose error of the tip."""
 
-    Attributes:
-        error: (6,) m and rad, translation and rotation vector from the tip's pose to its reference pose, world axes.
-        J_ref: (6, n), the Jacobian at the reference.
-        J: (6, n), the Jacobian at the measured configuration.
-    """
-
-    error: Array
-    J_ref: Array
-    J: Array
+    error: Array  # (6,) m and rad, translation and rotation vector from the tip's pose to its reference pose, world axes
+    J_ref: Array  # (6, n), the Jacobian at the reference
+    J: Array  # (6, n), the Jacobian at the measured configuration
 
 
 def tip_error(arm: Arm, q: Array, q_ref: Array) -> TipError:
@@ -52,10 +46,6 @@ def consistent_inverse(J: Array, M: Array) -> Array:
 
     Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation" (1987),
     with damping near singular configurations.
-
-    Args:
-        J: (k, n).
-        M: (n, n) kg m^2.
     """
     M_inv_Jt = np.linalg.solve(M, J.T)
     mobility = J @ M_inv_Jt

@@ -22,18 +22,12 @@ _MAX_TICKS = 20_000  # of one call, which an interrupt cannot end
 
 
 class LoopEnd(NamedTuple):
-    """How a run of the compiled loop ended.
+    """How a run of the compiled loop ended."""
 
-    Attributes:
-        row: The last row that was begun.
-        status: Whether all ticks are complete, and if not, why.
-        error: The message of MuJoCo, if it could not make a step.
-        measurement: q and v (n,) that were measured at the last row, if that tick was not completed and there are disturbances.
-    """
-
-    row: int
-    status: _core.TickStatus = _core.TickStatus.complete
-    error: str = ""
+    row: int  # the last row that was begun
+    status: _core.TickStatus = _core.TickStatus.complete  # whether all ticks are complete, and if not, why
+    error: str = ""  # the message of MuJoCo, if it could not make a step
+    # q and v (n,) at the last row, if that tick was not completed and there are disturbances
     measurement: tuple[Array, Array] | None = None
 
 
@@ -48,12 +42,7 @@ class CompiledLoop:
         substeps: int,
         pushed_arm: _core.ArmModel,
     ):
-        """The loop of a simulation.
-
-        Args:
-            substeps: Steps of MuJoCo in a tick.
-            pushed_arm: The arm on whose tip pushes act.
-        """
+        """A tick has so many `substeps` of MuJoCo; pushes act on the tip of `pushed_arm`."""
         self._data = data
         self._timestep = float(model.opt.timestep)
         self._substeps = substeps
@@ -82,19 +71,7 @@ class CompiledLoop:
         disturbances: Disturbances | None,
         sensor: WrenchSensor,
     ) -> LoopEnd:
-        """Runs the ticks up to row `last`, which are complete afterwards unless the run ends early.
-
-        Args:
-            controller: The controller, whose law is compiled.
-            rows: Where the ticks are recorded, from the first row that is not complete.
-            last: The row behind the last one.
-            state: The state now; only its times matter.
-            disturbances: What disturbs the signals, if anything does.
-            sensor: What measures the wrench, if the controller needs it.
-
-        Returns:
-            How it ended.
-        """
+        """Completes the rows from the first that is not complete to the one before `last`, unless the run ends early."""
         law = controller.begin(state)
         arrays = {name: np.ascontiguousarray(column, dtype=np.float64) for name, column in rows.reference._asdict().items()} | {
             "qpos_rows": rows.qpos,

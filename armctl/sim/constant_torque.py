@@ -15,11 +15,7 @@ _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 
 
 class ConstantTorque:
-    """A controller that returns the same torque at every tick, for open-loop runs.
-
-    Attributes:
-        tau: (n,) N m.
-    """
+    """A controller that returns the same torque, (n,) N m, at every tick, for open-loop runs."""
 
     name = "constant"
 
@@ -32,12 +28,7 @@ class ConstantTorque:
 
 
 def constant_controls(arm: Arm, ctrl: ArrayLike) -> ConstantTorque:
-    """Constant controls (n,) of an arm's motors, checked.
-
-    Raises:
-        InputError: A wrong length or a number that is not finite.
-        LimitError: A control outside its motor's range.
-    """
+    """Constant controls (n,) of an arm's motors; LimitError for one outside its motor's range."""
     checked = vector("ctrl", ctrl, arm.n)
     bound = arm.limits.tau_max / np.abs(arm.gear)
     outside = np.abs(checked) > bound * (1 + _CONTROL_TOLERANCE)

@@ -133,12 +133,7 @@ class ContactReaction:
 
 
 class _Feeling:
-    """A controller beside which an observer runs.
-
-    Attributes:
-        contact: The first alarm; empty before it.
-        time: s, of the first alarm.
-    """
+    """A controller beside which an observer runs, with the first alarm, empty before it, and its time, s."""
 
     def __init__(self, controller: Controller, force: ExternalForce, motor_torque: Callable[[], Array]):
         self.name = controller_name(controller)

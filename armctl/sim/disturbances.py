@@ -15,15 +15,10 @@ from armctl.sim.plant import Plant, Push
 
 
 class Signals(NamedTuple):
-    """The disturbances of the coming ticks, for the compiled loop.
+    """The disturbances of the coming ticks, for the compiled loop; None for none."""
 
-    Attributes:
-        noise: (ticks, 2, n) on measured positions, rad, and velocities, rad/s; None for none.
-        wrenches: (ticks, 6) N and N m, of the pushes on the tip; None for none.
-    """
-
-    noise: Array | None
-    wrenches: Array | None
+    noise: Array | None  # (ticks, 2, n) on measured positions, rad, and velocities, rad/s
+    wrenches: Array | None  # (ticks, 6) N and N m, of the pushes on the tip
 
 
 class Disturbances:
@@ -39,14 +34,7 @@ class Disturbances:
     def __init__(
         self, plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, train: Drivetrain, pushed_arm: _core.ArmModel, dt: float
     ):
-        """The disturbances of a run that starts now.
-
-        Args:
-            data: The state of the simulation; pushes are applied to it.
-            train: Where motors and links are in the model.
-            pushed_arm: The arm on whose tip pushes act; its joints are the first ones.
-            dt: s, the tick, over which positions are differenced.
-        """
+        """The disturbances of a run that starts now. Pushes act on the tip of `pushed_arm`, whose joints are the first ones."""
         n = train.actuation.n
         self._plant = plant
         self._model = model

@@ -17,21 +17,13 @@ from armctl.sim.recorder import Recorder
 
 
 class Drive(Protocol):
-    """What the commands of an arm need of a plant or a robot; `Stepper` is the one of a simulation.
-
-    Attributes:
-        actuation: The driven joints.
-        model: The MuJoCo model of the scene.
-        data: The scene now; for a robot, a mirror of what it measures.
-        dt: s, the tick.
-        failure: Why the last run ended early, in words; empty if it did not.
-    """
+    """What the commands of an arm need of a plant or a robot; `Stepper` is the one of a simulation."""
 
     actuation: Actuation
     model: mujoco.MjModel
-    data: mujoco.MjData
+    data: mujoco.MjData  # the scene now; for a robot, a mirror of what it measures
     dt: float
-    failure: str
+    failure: str  # why the last run ended early, in words; empty if it did not
 
     @property
     def n(self) -> int:
@@ -92,19 +84,11 @@ class Drive(Protocol):
     ) -> None:
         """Runs along a reference; `failure` says why if the run ends early.
 
-        Args:
-            controller: What computes the torques; a robot uses its own.
-            reference: The reference of each tick.
-            recorder: Where the ticks are recorded.
-            to_rest: The motion from the first row on, up to rest, where the reference is its beginning. A robot follows it if
-                nothing else comes in time; a simulation waits.
+        A robot uses its own controller, and follows `to_rest`, the motion from the first row on up to rest, where nothing else
+        comes in time; a simulation waits.
         """
         ...
 
     def come_to_rest(self, *, stop: bool) -> None:
-        """Called where a run ends: waits until a robot rests. A simulation stands between two runs.
-
-        Args:
-            stop: Whether the rest of the motion is left out: the arm brakes on its path.
-        """
+        """Called where a run ends: waits until a robot rests; with `stop` it brakes on its path before its end."""
         ...

@@ -58,29 +58,17 @@ class DrivetrainAttributes(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Drivetrain:
-    """Where the motors and the links of some arms are in a plant's model.
+    """Where the motors and the links of some arms are in a plant's model."""
 
-    Attributes:
-        actuation: Their joints; torques are read where the motors act.
-        rotors: The joints of the rotors that the plant adds.
-        springs: The spring joints of elastic joints of the file.
-        owners: Which of the n joints each rotor, or else each spring, belongs to.
-        spring_qpos: Addresses of `springs` in `MjData.qpos`.
-        spring_dof: The same in `MjData.qvel`.
-        sensors: When the file's sensors measure the joints.
-        motor_qpos: (n,) addresses of the motors in `MjData.qpos`.
-        motor_dof: (n,) in `MjData.qvel`.
-    """
-
-    actuation: Actuation
-    rotors: tuple[int, ...]
-    springs: tuple[int, ...]
-    owners: IntArray
-    spring_qpos: IntArray
-    spring_dof: IntArray
-    sensors: SensorTiming
-    motor_qpos: IntArray
-    motor_dof: IntArray
+    actuation: Actuation  # their joints; torques are read where the motors act
+    rotors: tuple[int, ...]  # the joints of the rotors that the plant adds
+    springs: tuple[int, ...]  # the spring joints of elastic joints of the file
+    owners: IntArray  # which of the n joints each rotor, or else each spring, belongs to
+    spring_qpos: IntArray  # addresses of `springs` in `MjData.qpos`
+    spring_dof: IntArray  # the same in `MjData.qvel`
+    sensors: SensorTiming  # when the file's sensors measure the joints
+    motor_qpos: IntArray  # (n,) addresses of the motors in `MjData.qpos`
+    motor_dof: IntArray  # (n,) in `MjData.qvel`
 
     @property
     def extra_joints(self) -> list[int]:
@@ -112,11 +100,7 @@ class Drivetrain:
         data.qfrc_applied[self.spring_dof] = torque[self.owners] if self.springs else 0.0
 
     def settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-        """Puts motors, windings and delayed commands where they are if the links have been held still, in place.
-
-        Returns:
-            (n,) N m, the torque that holds it.
-        """
+        """Puts motors, windings and delayed commands where held links leave them, in place; the holding torque, (n,) N m."""
         if self.springs:
             settle_springs(model, data, list(self.springs), self.motor_qpos[self.owners])
         moving = data.qvel.copy()
@@ -162,12 +146,7 @@ class Drivetrain:
 
 
 def new_model(arms: Sequence[Arm], plant: DrivetrainAttributes) -> mujoco.MjModel:
-    """A model of a plant, without its values: a copy of the arms' model, with rotors, friction and windings if it has any.
-
-    Raises:
-        InputError: A value is given for another number of joints, or the arm is elastic already.
-        ModelError: The model cannot get further elements, or its file has changed.
-    """
+    """A model of a plant, without its values: a copy of the arms' model, with rotors, friction and windings if it has any."""
     arm = arms[0]
     structure = structure_of(arms, plant)
     if not any(structure[0]) and not structure[1] and not structure[2]:
@@ -227,11 +206,7 @@ def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrai
 
 
 def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: Sequence[Arm], train: Drivetrain) -> None:
-    """Gives a model by `new_model` the rotors' inertias, the springs and gaps of a plant, in place; before `mj_setConst`.
-
-    Raises:
-        InputError: A joint with a rotor has no rotor inertia.
-    """
+    """Gives a model by `new_model` the rotors' inertias, the springs and gaps of a plant, in place; before `mj_setConst`."""
     if not train.rotors:
         return
     n = train.actuation.n
@@ -260,11 +235,7 @@ def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: S
 
 
 def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train: Drivetrain) -> None:
-    """Gives a model what follows from its inertias, in place: damping of the springs, friction, windings.
-
-    Raises:
-        InputError: A spring is too stiff for the time step.
-    """
+    """Gives a model what follows from its inertias, in place: damping of the springs, friction, windings."""
     motors = motors_of(model, train.actuation)
     if train.rotors:
         dofs = train.actuation.dof_adr[train.owners]
@@ -297,11 +268,7 @@ def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train:
 
 
 def per_joint(name: str, value: object, n: int) -> Array:
-    """A checked attribute of one number, or of one for each joint, as (n,).
-
-    Raises:
-        InputError: It is of another number of joints.
-    """
+    """A checked attribute of one number, or of one for each joint, as (n,)."""
     values = np.asarray(value, dtype=np.float64)
     if len(np.atleast_1d(values)) not in (1, n):
         raise InputError(f"{name}: expected 1 or {n} numbers, got {len(values)}")

@@ -43,13 +43,7 @@ _MAX_CONTACTS_IN_REASON = 3
 
 @dataclass(frozen=True, eq=False)
 class PlannedMove:
-    """The move of one arm: its target, and the motion there or the reason why there is none.
-
-    Attributes:
-        target: Where the tip should end.
-        trajectory: The motion; None if there is none.
-        refusal: Why there is no motion; empty if there is one.
-    """
+    """The move of one arm: its target, and the motion there or the reason why there is none."""
 
     target: Target
     trajectory: Trajectory | None = None
@@ -103,12 +97,7 @@ def plan_free(arm: Arm, target: Target, q_start: Array, goal: Target | Array, sp
 
 
 def read_controller(given: Controller | str, arm: Arm) -> Controller:
-    """A controller from what a caller gave: a controller, or the name of one.
-
-    Raises:
-        InputError: It has no method `torque`.
-        UnknownNameError: There is no controller of that name.
-    """
+    """A controller from what a caller gave: a controller, or the name of one."""
     if isinstance(given, str):
         return controller_by_name(given, arm)
     if isinstance(given, type) or not callable(getattr(given, "torque", None)):
@@ -117,14 +106,7 @@ def read_controller(given: Controller | str, arm: Arm) -> Controller:
 
 
 class ControlledArms:
-    """Arms of one model on one drive, each with a controller.
-
-    Attributes:
-        arms: The arms by the names of their tips.
-        controllers: The controllers by the names of the tips.
-        drive: What moves them.
-        reaction: To contacts, in the simulation of one arm; None for none.
-    """
+    """Arms of one model on one drive, each with a controller, by the names of their tips; one arm can react to contacts."""
 
     reaction: ContactReaction | None = None
 
@@ -224,10 +206,8 @@ class ControlledArms:
     ) -> Iterator[Recorder]:
         """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
 
-        Args:
-            durations: s, until the reference of each arm is at rest; left-out arms do not move.
-            targets: (7,) of each arm; changes until the end of the run count. None for no targets.
-            controller: The controller of an open-loop run, instead of the arms' own.
+        The durations, s, are those until the reference of each arm is at rest; left-out arms do not move. Changes of the
+        targets (7,) until the end of the run count. An open-loop run has a controller instead of the arms' own.
         """
         self.resume()
         recorder = self.drive.recorder()
@@ -348,11 +328,6 @@ class _JointController:
         self.needs_deflection = any(getattr(controller, "needs_deflection", False) for controller in controllers.values())
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torques of all arms.
-
-        Raises:
-            ControllerFailure: A controller raised an exception or returned no torque.
-        """
         torques = np.empty(len(state.q))
         for tip, own in self._slices.items():
             controller = self._controllers[tip]

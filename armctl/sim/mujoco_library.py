@@ -18,11 +18,7 @@ _EMPTY_MODEL = '<mujoco><size memory="64K"/></mujoco>'
 
 @cache
 def library() -> ctypes.CDLL:
-    """MuJoCo's library, which the Python package has loaded already.
-
-    Raises:
-        ModelError: The installed package has no library.
-    """
+    """MuJoCo's library, which the Python package has loaded already."""
     folder = Path(mujoco.__file__).parent
     for pattern in ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll"):
         for path in sorted(folder.glob(pattern)):
@@ -31,10 +27,7 @@ def library() -> ctypes.CDLL:
 
 
 def release_loading_memory() -> None:
-    """Frees the files that MuJoCo keeps for the next load, and returns freed memory to the system where it can be done.
-
-    After the Panda was loaded, this is half of the memory of the process.
-    """
+    """Frees the files that MuJoCo keeps for the next load: after the Panda, half of the memory. glibc's freed memory too."""
     functions = library()
     functions.mj_getCache.restype = ctypes.c_void_p
     functions.mj_clearCache.argtypes = [ctypes.c_void_p]

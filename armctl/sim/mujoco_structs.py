@@ -28,28 +28,17 @@ _C_TYPES = {
 
 
 class ContactLayout(NamedTuple):
-    """Where MjData keeps the geoms of its contacts, in bytes.
+    """Where MjData keeps the geoms of its contacts, in bytes."""
 
-    Attributes:
-        size: Offset of `ncon` in mjData.
-        array: Offset of the pointer `contact` in mjData.
-        stride: Size of an mjContact.
-        geoms: Offset of `geom` in mjContact.
-    """
-
-    size: int
-    array: int
-    stride: int
-    geoms: int
+    size: int  # offset of `ncon` in mjData
+    array: int  # offset of the pointer `contact` in mjData
+    stride: int  # size of an mjContact
+    geoms: int  # offset of `geom` in mjContact
 
 
 @cache
 def contact_layout() -> ContactLayout:
-    """Where contacts are in this release, by the fields of its structs.
-
-    Raises:
-        ModelError: The structs are not laid out as they are listed.
-    """
+    """Where contacts are in this release, by its structs; ModelError if MjData is not laid out as they are listed."""
     data_struct = _struct("mjData")
     contact_struct = _struct("mjContact")
     data = mujoco.MjData(mujoco.MjModel.from_xml_string(_ONE_JOINT))

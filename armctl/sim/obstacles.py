@@ -43,16 +43,9 @@ class Obstacles:
         return recent.checker
 
     def checker(self, allow: Iterable[tuple[str, str]] = (), held: str = "") -> CollisionChecker:
-        """A checker of the scene as it is.
+        """A checker of the scene as it is, in which pairs of names of bodies or geoms may touch.
 
-        Args:
-            allow: Pairs of names of bodies or geoms that may touch.
-            held: The body that a gripper holds; empty for none. It moves with the tip, and may keep the contacts it has now,
-                such as with the table it was picked from.
-
-        Raises:
-            InputError: `allow` is no list of pairs.
-            UnknownNameError: The model has no body or geom of a name in `allow`.
+        A held body moves with the tip, and may keep the contacts it has now, such as with the table it was picked from.
         """
         allowed = [*read_pairs(allow), *(touched_by(self._arm.model, self._data, held) if held else ())]
         qpos = np.array(self._data.qpos)

@@ -223,11 +223,7 @@ class Plant:
     name: str = plant_attribute(Kind.OTHER, "", is_factor=False)
 
     def __new__(cls, *args: object, **keywords: object) -> Self:
-        """A plant, not yet constructed.
-
-        Raises:
-            TypeError: It takes no such keyword; the message says which.
-        """
+        """A plant, not yet constructed; a TypeError says which keyword it does not take."""
         check_keywords(cls, keywords)
         return super().__new__(cls)
 
@@ -299,11 +295,7 @@ PLANT_ATTRIBUTES = attributes_of(Plant)
 
 
 def read_plant(plant: Plant | None) -> Plant:
-    """A plant from what a caller gave; None is the nominal one.
-
-    Raises:
-        InputError: It is no Plant.
-    """
+    """A plant from what a caller gave; None is the nominal one."""
     plant = NOMINAL if plant is None else plant
     instance("plant", plant, Plant, "armctl.Plant(payload=1.0) is one")
     return plant
@@ -334,14 +326,10 @@ def steps_in_python(plant: Plant, train: Drivetrain) -> bool:
 
 
 def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm]) -> None:
-    """Gives a copy of the arms' model the differences of a plant, instead of those that it has; no joint is braked then.
+    """Gives a model by `new_model` the differences of a plant, instead of those that it has; no joint is braked then.
 
-    A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant.
-
-    Args:
-        model: A copy, by `new_model` for this plant.
-        data: Any state of it; it is lost.
-        arms: The arms. A payload hangs at the first one's tip.
+    A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant; the state in its
+    data is lost. A payload hangs at the first arm's tip.
     """
     for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
         values = getattr(arms[0].model, name)

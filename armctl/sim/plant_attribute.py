@@ -31,42 +31,24 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class PlantAttribute:
-    """A row of the table of a plant's attributes.
-
-    Attributes:
-        kind: The kind of its values.
-        default: Its value in the nominal plant.
-        unit: The unit, for labels; empty for none.
-        low: The least value.
-        high: The greatest value.
-        words: The words that it may be.
-        phrase: How a text names a value, such as "payload {} kg"; empty if only other attributes tell that the plant differs.
-        scale: Factor on the number in the phrase.
-        only_with: Attributes of which one must differ from its default, so that this one matters.
-        disturbs_signals: Whether it disturbs measurements or commands during a run.
-        is_factor: Whether it can be a factor of a study.
-        varies_in_episodes: Whether the episodes of an environment can draw it.
-    """
+    """A row of the table of a plant's attributes."""
 
     kind: Kind
-    default: Any
-    unit: str = ""
+    default: Any  # in the nominal plant
+    unit: str = ""  # for labels; empty for none
     low: float = -math.inf
     high: float = math.inf
-    words: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()  # that it may be
+    # how a text names a value, such as "payload {} kg"; empty if only other attributes tell that the plant differs
     phrase: str = ""
-    scale: float = 1.0
-    only_with: tuple[str, ...] = ()
-    disturbs_signals: bool = False
-    is_factor: bool = True
-    varies_in_episodes: bool = False
+    scale: float = 1.0  # factor on the number in the phrase
+    only_with: tuple[str, ...] = ()  # attributes of which one must differ from its default, so that this one matters
+    disturbs_signals: bool = False  # disturbs measurements or commands during a run
+    is_factor: bool = True  # can be a factor of a study
+    varies_in_episodes: bool = False  # can be drawn by the episodes of an environment
 
     def read(self, name: str, value: Any) -> Any:
-        """A value as a caller gave it, checked; a value that is not read here is returned as it is.
-
-        Raises:
-            InputError: It is of another kind, or outside its range.
-        """
+        """A value as a caller gave it, checked; a value that is not read here is returned as it is."""
         if self.default is None and _is_left_out(value):
             return None
         match self.kind:

@@ -27,28 +27,18 @@ _RECORDED = ("qpos", *STATES[1:])  # q is part of qpos
 
 
 class TickRows:
-    """Rows for the ticks of one reference. The tick loop writes row k, then sets `count` to k + 1.
-
-    Attributes:
-        reference: What the ticks follow, as read-only views.
-        qpos: (ticks, nq) the whole model's positions.
-        v: (ticks, n) rad/s.
-        tau_cmd: (ticks, n) N m, the command.
-        tau: (ticks, n) N m, what the motors did.
-        wrench: (ticks, 6 per arm) the true wrenches on the tips; None if the controller did not measure them.
-        count: How many rows are complete.
-        contacts: (row, geoms) for each row at which the touching geoms change; `geoms` is `MjData.contact.geom` as bytes.
-    """
+    """Rows for the ticks of one reference. The tick loop writes row k, then sets `count` to k + 1."""
 
     def __init__(self, reference: TickReference, nq: int, n: int):
         ticks = len(reference.q)
         self.reference = TickReference(*(read_only(np.asarray(column)) for column in reference))
-        self.qpos = np.empty((ticks, nq))
-        self.v = np.empty((ticks, n))
-        self.tau_cmd = np.empty((ticks, n))
-        self.tau = np.empty((ticks, n))
-        self.wrench: Array | None = None
+        self.qpos = np.empty((ticks, nq))  # the whole model's positions
+        self.v = np.empty((ticks, n))  # rad/s
+        self.tau_cmd = np.empty((ticks, n))  # N m, the command
+        self.tau = np.empty((ticks, n))  # N m, what the motors did
+        self.wrench: Array | None = None  # (ticks, 6 per arm) the true ones on the tips, if the controller measured them
         self.count = 0
+        # For each row at which the touching geoms change: `MjData.contact.geom`.
         self.contacts: list[tuple[int, bytes]] = []
 
     def with_wrench(self, size: int) -> Array:
@@ -66,11 +56,7 @@ class ReferenceTips:
         self._last: tuple[_core.ArmModel, Array, tuple[Array, Array]] | None = None
 
     def of(self, model: _core.ArmModel, q_ref: Array) -> tuple[Array, Array]:
-        """The tips of an arm at the rows of a reference: positions (T, 3) and quaternions (T, 4).
-
-        Args:
-            q_ref: (T, n) rad; must not change later.
-        """
+        """Positions (T, 3) and quaternions (T, 4) of the tip at q_ref (T, n) rad, which must not change later."""
         last = self._last
         if last is None or last[0] is not model or last[1] is not q_ref:
             positions, rotations = tips(model, q_ref)
@@ -80,17 +66,7 @@ class ReferenceTips:
 
 
 class RunInfo(NamedTuple):
-    """What a log says of its run as a whole; as in Log, but for one.
-
-    Attributes:
-        controller: Its name.
-        plant: In words.
-        dt: s.
-        motion_duration: s.
-        target: (7,).
-        wall_time: s that the run took.
-        failure: Why it ended early; empty if it did not.
-    """
+    """What a log says of its run as a whole; as in Log, but for one."""
 
     controller: str
     plant: str
@@ -128,13 +104,7 @@ class Recorder:
         return rows
 
     def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = _FIRST_WRENCH) -> Log:
-        """The recorded rows of an arm as a Log; the tips are from the arm's forward kinematics, which is MuJoCo's to 1e-9.
-
-        Args:
-            run: What the rows do not say.
-            joints: The arm's joints among the recorded ones.
-            wrench: The arm's wrench among the recorded ones.
-        """
+        """The recorded rows of an arm as a Log; the tips are from the arm's forward kinematics, which is MuJoCo's to 1e-9."""
         dt = run.dt
         columns = self._columns()
         qpos = columns.pop("qpos")
@@ -230,11 +200,7 @@ def _joined(parts: list[Array]) -> Array:
 
 
 def ticks_for(duration: float, dt: float) -> int:
-    """The number of ticks from a motion's first instant, t = 0, to its last, t = duration.
-
-    Raises:
-        InputError: There are more than fit into a log.
-    """
+    """The number of ticks from a motion's first instant, t = 0, to its last, t = duration."""
     ticks = duration / dt
     if not ticks <= MOST_TICKS:
         raise InputError(f"duration: {duration:g} s are {ticks:.3g} ticks of {dt:g} s, at most {MOST_TICKS:,} fit into a log")

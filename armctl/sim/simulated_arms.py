@@ -24,11 +24,7 @@ _STEP_ROWS = 1024  # ticks for which memory is allocated at once while a caller 
 
 
 class SimulatedArms(ControlledArms):
-    """Arms of one model in one simulation, each with a controller.
-
-    Attributes:
-        stepper: The simulation.
-    """
+    """Arms of one model in one simulation, each with a controller."""
 
     def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], stepper: Stepper):
         super().__init__(arms, controllers, stepper)
@@ -50,11 +46,7 @@ class SimulatedArms(ControlledArms):
             self._steps = None
 
     def step(self, torque: Array | None) -> State:
-        """Runs one tick of a single arm, with a torque or with its controller at the last reference.
-
-        Returns:
-            The measured state after the tick.
-        """
+        """The measured state after one tick of a single arm, with a torque or with its controller at the last reference."""
         self.resume()
         if self._steps is None:
             self._logs = {}
@@ -105,13 +97,7 @@ class SimulatedArms(ControlledArms):
 
 
 class _StepRecording:
-    """The ticks of a caller's own loop; memory is allocated for many of them at once.
-
-    Attributes:
-        recorder: Where they are recorded.
-        started: When the first step began, by `time.perf_counter`.
-        logged: How many ticks the last log of them has.
-    """
+    """The ticks of a caller's own loop; memory is allocated for many of them at once."""
 
     def __init__(self, stepper: Stepper):
         self.recorder = stepper.recorder()

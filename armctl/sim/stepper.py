@@ -37,13 +37,9 @@ _FLOAT64 = np.dtype(np.float64)
 
 
 class Observer(Protocol):
-    """An observer of the tick loop, such as a viewer. It must not change the state; it may block.
+    """An observer of the tick loop, such as a viewer. It must not change the state; it may block."""
 
-    Attributes:
-        interval: s of simulated time between two calls of `after_ticks`.
-    """
-
-    interval: float
+    interval: float  # s of simulated time between two calls of `after_ticks`
 
     def after_reset(self, data: mujoco.MjData) -> None:
         """Called after the state was reset."""
@@ -59,11 +55,7 @@ class Observer(Protocol):
 
 
 class ControllerFailure(Exception):
-    """A controller raised an exception or returned no torque; the exception is the cause.
-
-    Attributes:
-        tip: The tip of its arm, where several arms move at once.
-    """
+    """A controller raised an exception or returned no torque; the exception is the cause. Of several arms it names the tip."""
 
     def __init__(self, controller: Controller, tip: str = ""):
         super().__init__(controller, tip)
@@ -90,25 +82,11 @@ class Stepper:
 
     It keeps no reference to an Arm, so that arms can be forgotten while a stepper waits for the next run.
 
-    Attributes:
-        actuation: The driven joints of all arms.
-        plant: How the simulated arms differ from their models.
-        description: The plant in words, for the log.
-        dt: s, the tick: the control period.
-        continuous: Whether the arm moves almost continuously between ticks.
-        q_ref: (n,) rad, the last reference.
-        failure: Why the last run ended early, in words; empty if it did not.
-        diverged: Whether the state diverged, so that only `reset` helps.
+    Its `description` is the plant in words; after a run that `diverged` only `reset` helps.
     """
 
     def __init__(self, arms: Sequence[Arm], plant: Plant, observer: Observer | None = None):
-        """A stepper with the arms at home, at rest.
-
-        Args:
-            arms: Arms of one model that share no joint. Payload and pushes of the plant act at the tip of the first.
-            plant: How the simulated arms differ from their models.
-            observer: An observer of the tick loop, or None.
-        """
+        """A stepper of arms that share no joint, at home, at rest. Payload and pushes act at the tip of the first."""
         self._observer = observer
         self._one_thread = _OneThread()
         self._pushed_arm = arms[0].core_model
@@ -126,12 +104,7 @@ class Stepper:
         self.reset()
 
     def set_plant(self, plant: Plant, arms: Sequence[Arm]) -> None:
-        """Gives the simulated arms another plant. The state is lost: call `reset` afterwards.
-
-        Args:
-            plant: How the simulated arms differ from their models.
-            arms: The arms that this stepper was made for.
-        """
+        """Gives the same simulated arms another plant. The state is lost: call `reset` afterwards."""
         structure = structure_of(arms, plant)
         if structure != self._structure:
             self._use_model(new_model(arms, plant), drivetrain_of(arms, plant))
@@ -207,11 +180,7 @@ class Stepper:
         return Pose.from_rotation(self.data.xpos[body], self.data.xmat[body].reshape(3, 3)) @ arm.T_body_tip
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
-        """Sets time to 0 and the joints to q, rad, and v, rad/s; home and rest by default. Everything else is at home.
-
-        Raises:
-            InputError: A wrong length, a number that is not finite, or another thread runs the simulation.
-        """
+        """Sets time to 0 and the joints to q, rad, and v, rad/s; home and rest by default. Everything else is at home."""
         q = vector("q", self._home if q is None else q, self.n)
         v = vector("v", np.zeros(self.n) if v is None else v, self.n)
         with self._one_thread:
@@ -241,11 +210,7 @@ class Stepper:
             self._disturbances = Disturbances(self.plant, self.model, self.data, self._train, self._pushed_arm, self.dt)
 
     def release(self, dofs: IntArray) -> None:
-        """Releases the brake of joints outside the arms, such as a gripper's; `reset` brakes them again.
-
-        Args:
-            dofs: Their addresses in `MjData.qvel`.
-        """
+        """Releases the brake of joints outside the arms, such as a gripper's, by addresses in qvel; `reset` brakes them."""
         if not np.isin(dofs, self._released).all():
             self._released = np.union1d(self._released, dofs)
             self._brake.release_only(self._released)
@@ -277,19 +242,11 @@ class Stepper:
         recorder: Recorder,
         to_rest: Pieces | None = None,
     ) -> None:
-        """Runs the tick loop along a reference: measure, control, step, record.
+        """Runs the tick loop along a reference, whose arrays become read-only: measure, control, step, record.
 
         The run ends early, and `failure` says why, if the arm diverges or the controller returns a torque that is not finite.
         If it ends by an exception, all complete ticks are recorded, and `q_ref` is the reference of the last one.
-
-        Args:
-            controller: What computes the torques.
-            reference: The reference of each tick; its arrays become read-only.
-            recorder: Where the ticks are recorded.
-            to_rest: Not needed: a simulation waits for its next reference.
-
-        Raises:
-            SimulationError: An earlier run ended early, or the controller failed.
+        SimulationError if an earlier run ended early, or the controller failed.
         """
         if self.failure:
             raise SimulationError(f"{self.failure}; call reset() to start again")
@@ -316,11 +273,7 @@ class Stepper:
         return self._wrench_sensor.arms == 1 or not controller.needs_wrench
 
     def step(self, controller: Controller, rows: TickRows) -> None:
-        """Runs the next tick of rows that are not complete.
-
-        Raises:
-            SimulationError: As for `run`; also if this tick ended early.
-        """
+        """Runs the next tick of rows that are not complete; SimulationError as for `run`, also if this tick ended early."""
         if self.failure:
             raise SimulationError(f"{self.failure}; call reset() to start again")
         if self._observer is not None and self._unobserved == 0.0:
@@ -480,11 +433,7 @@ class Stepper:
 
 
 def checked_torque(tau: object, n: int) -> Array:
-    """A controller's torque as a vector of n floats; it need not be finite.
-
-    Raises:
-        InputError: It is no list of n real numbers.
-    """
+    """A controller's torque as a vector of n floats; it need not be finite."""
     if tau is None:
         raise InputError(f"torque: expected {n} numbers, but the controller returned None")
     try:

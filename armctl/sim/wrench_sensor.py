@@ -22,16 +22,11 @@ _CARTESIAN_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_W
 
 
 class _Site(NamedTuple):
-    """Where an arm's wrench acts, without the arm itself: a waiting simulation must not keep it.
+    """Where an arm's wrench acts, without the arm itself: a waiting simulation must not keep it."""
 
-    Attributes:
-        last_body: Behind the arm's last joint.
-        offset: (3,) m, the tip in that body.
-    """
-
-    last_body: int
+    last_body: int  # behind the arm's last joint
     tip_body: int
-    offset: Array
+    offset: Array  # (3,) m, the tip in that body
     arm: _core.ArmModel
 
 
@@ -49,13 +44,6 @@ class WrenchSensor:
     def __init__(
         self, arms: Sequence[Arm], plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, dt: float, continuous: bool
     ):
-        """A sensor at each arm.
-
-        Args:
-            arms: Arms of the model.
-            dt: s, the tick.
-            continuous: Whether the arm moves almost continuously between ticks.
-        """
         self._plant = plant
         self._model = model
         self._data = data
@@ -102,12 +90,7 @@ class WrenchSensor:
         return self.true
 
     def measure(self, push: Array | None, state: State, tau: Array) -> Array:
-        """What the sensors give at this tick, with noise and delay; the same until the next tick.
-
-        Args:
-            push: As for `read`.
-            tau: (n,) N m, the torque of the motors during the last tick.
-        """
+        """What the sensors give at this tick, with noise and delay, for the motors' torque (n,) N m in the last tick."""
         if not self._is_sampled:
             return self.read(push)
         noise = np.zeros_like(self.true)
@@ -134,13 +117,9 @@ class WrenchSensor:
         return measured
 
     def plan(self, times: Array) -> tuple[_core.WrenchSensor, Array | None]:
-        """Prepares the sensor of a single arm for the coming ticks of the compiled loop; call `took` afterwards.
+        """The sensor of a single arm for coming ticks of the compiled loop, and its noise (ticks, 6) N and N m, or None.
 
-        Args:
-            times: (ticks,) s.
-
-        Returns:
-            The compiled sensor, and the noise of the coming ticks, (ticks, 6) N and N m, or None for none.
+        Call `took` afterwards.
         """
         (sensor,) = self._sensors()
         noise = None

@@ -43,19 +43,13 @@ class _Patch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Jaws:
-    """The two sides of a gripper.
+    """The two sides of a gripper."""
 
-    Attributes:
-        sides: The bodies on each side; the second can be the palm.
-        pads: The two geoms that meet when the gripper closes; empty if the geoms overlap also when it is open, or are missing.
-        points: Without pads: one point on each side, nearest to each other when closed; else empty.
-        offset: Without pads: the distance of the points when closed, m.
-    """
-
-    sides: tuple[frozenset[int], frozenset[int]]
+    sides: tuple[frozenset[int], frozenset[int]]  # the bodies on each side; the second can be the palm
+    # the two geoms that meet when the gripper closes; empty if the geoms overlap also when it is open, or are missing
     pads: tuple[int, ...]
-    points: tuple[BodyPoint, ...] = ()
-    offset: float = 0.0
+    points: tuple[BodyPoint, ...] = ()  # without pads: one point on each side, nearest to each other when closed; else empty
+    offset: float = 0.0  # without pads: the distance of the points when closed, m
 
     def width(self, model: mujoco.MjModel, data: mujoco.MjData) -> float:
         """The distance between the jaws, m, in a state whose positions are computed; 0 if they touch.
@@ -69,21 +63,11 @@ class Jaws:
 
 
 def find_jaws(model: mujoco.MjModel, states: Sequence[mujoco.MjData], palm: frozenset[int]) -> tuple[Jaws, int, int]:
-    """The jaws of a gripper, from its states at the ends of its actuators' ranges.
+    """The jaws of a gripper, from its states at the ends of its actuators' ranges, and the indices of the closed and open one.
 
     The pads are the geoms whose distance changes most. Collision geoms are convex hulls, which can overlap in every state, and
     a file can lack them. The tip of a jaw is then what moves farthest, by vertices of its meshes, else by its center of mass.
-
-    Args:
-        model: The model, in which only the gripper moves.
-        states: The states; their positions are computed.
-        palm: The bodies that carry the jaws.
-
-    Returns:
-        The jaws, the index of the closed state, and that of the open one.
-
-    Raises:
-        ModelError: Nothing opens or closes.
+    The palm is the bodies that carry the jaws. ModelError if nothing opens or closes.
     """
     roots = branches(model, min(palm))
     sides = [frozenset(b for b in range(model.nbody) if is_below(model, b, root)) for root in roots]

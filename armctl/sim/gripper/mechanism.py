@@ -14,11 +14,7 @@ from armctl.mjmodel.transmissions import Transmission, Transmissions
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """What each actuator of a gripper moves.
-
-    Attributes:
-        transmissions: One for each actuator; its leading joint is the one that the actuator acts on, if it acts on one.
-    """
+    """What each actuator of a gripper moves: one transmission for each, led by the joint that it acts on, if any."""
 
     transmissions: tuple[Transmission, ...]
 
@@ -40,16 +36,7 @@ class Mechanism:
         )
 
     def placed(self, model: mujoco.MjModel, start: mujoco.MjData, ctrl: Array) -> mujoco.MjData:
-        """The gripper where servos without load hold it, within the ranges of its joints.
-
-        Args:
-            model: The model, in which the gripper's actuators are servos.
-            start: The state of all other joints.
-            ctrl: (actuators,) the controls.
-
-        Returns:
-            The state, with its positions computed; its other joints are as in `start`.
-        """
+        """The gripper where servos without load hold it, within the ranges of its joints; other joints are as in `start`."""
         data = copy.copy(start)
         for transmission, command in zip(self.transmissions, ctrl, strict=True):
             low, high = _leader_range(model, transmission)
@@ -64,11 +51,7 @@ class Mechanism:
 
 
 def find_mechanism(model: mujoco.MjModel, dofs: IntArray, actuators: tuple[int, ...]) -> Mechanism | None:
-    """The mechanism of a gripper; None if its joints close a loop or share a pull in no fixed ratio.
-
-    Args:
-        dofs: Addresses in `MjData.qvel` of the joints behind the tip.
-    """
+    """The mechanism of a gripper; None if its joints close a loop or share a pull in no fixed ratio."""
     analysis = Transmissions(model)
     found: dict[int, Transmission] = {}
     free: list[int] = []

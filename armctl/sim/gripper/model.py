@@ -31,30 +31,19 @@ _SERVO_BANDWIDTH = 0.2  # rad per time step: a tenth of the stability limit of e
 
 @dataclass(frozen=True, eq=False)
 class GripperModel:
-    """A gripper of one actuator, or of two that move together.
-
-    Attributes:
-        dofs: Addresses in `MjData.qvel` of all joints that move with the gripper.
-        jaws: The two sides, and what the width is measured between.
-        width: (k,) m, increasing from closed to open.
-        ctrl: (k, actuators) the controls for each width.
-        length: (k, actuators) the lengths of the actuators at each width.
-        force_max: N, the largest force between the pads; infinite if the model sets no limit.
-        inertia: (actuators,) kg m^2, reflected to each actuator's joint, of all that it moves.
-        followers: The joints that follow an actuator's own at a fixed ratio. Its range is theirs too.
-        overlapping: Geoms of the jaws that overlap others of the robot while the gripper moves, as convex hulls do. Their
-            contacts with each other are switched off while the gripper is in use.
-    """
+    """A gripper of one actuator, or of two that move together."""
 
     actuators: tuple[int, ...]
-    dofs: IntArray
+    dofs: IntArray  # addresses in `MjData.qvel` of all joints that move with the gripper
     jaws: Jaws
-    width: Array
-    ctrl: Array
-    length: Array
-    force_max: float
-    inertia: Array
-    followers: IntArray
+    width: Array  # (k,) m, increasing from closed to open
+    ctrl: Array  # (k, actuators) the controls for each width
+    length: Array  # (k, actuators) the lengths of the actuators at each width
+    force_max: float  # N, the largest force between the pads; infinite if the model sets no limit
+    inertia: Array  # (actuators,) kg m^2, reflected to each actuator's joint, of all that it moves
+    followers: IntArray  # the joints that follow an actuator's own at a fixed ratio; its range is theirs too
+    # geoms of the jaws that overlap others of the robot while the gripper moves, as convex hulls do; their contacts with each
+    # other are switched off while the gripper is in use
     overlapping: IntArray
 
     def ctrl_at(self, width: float) -> Array:
@@ -68,13 +57,10 @@ class GripperModel:
 
 
 def find_gripper_model(arm: Arm) -> GripperModel:
-    """The gripper behind an arm's tip.
+    """The gripper behind an arm's tip; ModelError if there is none, or a hand of many actuators.
 
     The gripper is closed and opened alone, to find which of its parts meet and which width each control gives: kinematically,
     within the limits of its joints; a linkage that closes a loop, by a simulation without gravity.
-
-    Raises:
-        ModelError: Nothing moves behind the tip, or it is a hand of many actuators.
     """
     bodies, dofs = _behind(arm)
     actuators = tuple(a for a in range(arm.model.nactuator) if _moves(arm.model, a, set(dofs.tolist())))
@@ -157,14 +143,7 @@ def _indices(values: list[int]) -> IntArray:
 
 
 def make_servos(model: mujoco.MjModel, actuators: tuple[int, ...], inertia: Array) -> None:
-    """Turns motors into position servos, in place; sets the range of other actuators that have none.
-
-    Args:
-        inertia: (actuators,) kg m^2, reflected to each actuator's joint, of all that it moves.
-
-    Raises:
-        ModelError: A motor without limits, or one on a tendon.
-    """
+    """Turns motors into position servos, in place; sets the range of those that have none. Inertia as of `GripperModel`."""
     for a, moved in zip(actuators, inertia, strict=True):
         stiffness = -float(model.actuator_biasprm[a, 1])
         ctrl = int(model.actuator_ctrladr[a])
@@ -185,11 +164,7 @@ def make_servos(model: mujoco.MjModel, actuators: tuple[int, ...], inertia: Arra
 
 
 def make_usable(model: mujoco.MjModel, gripper: GripperModel) -> None:
-    """Makes servos of a gripper's actuators and lets it move, in place.
-
-    Raises:
-        ModelError: A motor without limits, or one on a tendon.
-    """
+    """Makes servos of a gripper's actuators and lets it move, in place."""
     make_servos(model, gripper.actuators, gripper.inertia)
     model.jnt_limited[gripper.followers] = 0  # in a URDF they often contradict the leading joint's
     # Two geoms touch if one's contype meets the other's conaffinity: without contype these touch other things only.

@@ -26,14 +26,7 @@ class RealTimeClock:
     """Waits so that simulated time passes as fast as wall-clock time, times `speed`. After a delay it catches up."""
 
     def __init__(self, speed: float = 1.0):
-        """A clock that starts now.
-
-        Args:
-            speed: Simulated seconds per second, in [0.001, 1000].
-
-        Raises:
-            InputError: The speed is outside that range.
-        """
+        """A clock that starts now, with so many simulated seconds per second, in [0.001, 1000]."""
         self.speed = speed
         self.restart()
 
@@ -58,11 +51,7 @@ class RealTimeClock:
             self.restart()
 
     def wait(self, seconds: float) -> None:
-        """Sleeps until the wall clock has caught up with the simulation.
-
-        Args:
-            seconds: Simulated time since the last call, s.
-        """
+        """Sleeps until the wall clock has caught up, where the simulation went on by so many seconds since the last call."""
         self._due += seconds / self._speed
         self._simulated += seconds / self._speed
         remaining = self._due - time.perf_counter()

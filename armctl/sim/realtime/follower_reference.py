@@ -21,20 +21,12 @@ _ACCELERATION_SCALE = 0.3  # a target moved by hand jerks; the jerk limits are s
 class FollowerReference:
     """A reference as rows for the tick loop, a few at a time. It always is on a motion that ends at rest.
 
-    Attributes:
-        arm: The arm, with the limits of the motions; a stop or another speed on a path may use those of the arm itself.
-        q: (n,) rad, where the reference is now.
-        is_on_planned_path: Whether it follows a planned motion that has not ended.
+    Its limits are those of its arm; a stop or another speed on a path may use those of the arm itself. `q` (n,) rad is where it
+    is now.
     """
 
     def __init__(self, arm: Arm, dt: float, q: Array, refusal: Callable[[Pieces], str]):
-        """A reference that rests at q.
-
-        Args:
-            dt: s, the tick.
-            q: (n,) rad, where it starts.
-            refusal: Why a motion to a joint goal may not be made; empty if it may.
-        """
+        """A reference that rests at q; `refusal` says why a motion to a joint goal may not be made, and is empty if it may."""
         limits = arm.limits
         self._limits = limits
         a_max = _ACCELERATION_SCALE * limits.a_max

@@ -49,16 +49,9 @@ class History:
 
 
 class Samples(NamedTuple):
-    """Columns of a history.
+    """Columns of a history."""
 
-    Attributes:
-        t: (T,) s.
-        to_target: (T,) m from the tip to the target.
-        to_reference: (T,) m from the tip to its reference.
-        torque_share: (T, n) torques as shares of their limits.
-    """
-
-    t: Array
-    to_target: Array
-    to_reference: Array
-    torque_share: Array
+    t: Array  # (T,) s
+    to_target: Array  # (T,) m from the tip to the target
+    to_reference: Array  # (T,) m from the tip to its reference
+    torque_share: Array  # (T, n) torques as shares of their limits

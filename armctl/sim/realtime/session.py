@@ -53,15 +53,7 @@ class RealTimeSession:
     """
 
     def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
-        """A session with the arm at home. Time stands still until `start`.
-
-        Args:
-            payload: Mass at the tip, kg.
-
-        Raises:
-            UnknownNameError: There is no such controller.
-            InputError: The payload is negative.
-        """
+        """A session with the arm at home, and so many kg at the tip. Time stands still until `start`."""
         self.arm = arm
         self.keyframes = keyframe_names(arm.model)
         self._controller_name = controller
@@ -94,27 +86,12 @@ class RealTimeSession:
         return self._status
 
     def aim(self, target: Pose, *, held: bool = False) -> None:
-        """Moves the tip to a target.
-
-        Args:
-            target: T_world_tip.
-            held: Whether it still moves, for example while it is dragged. No path around obstacles is planned then.
-
-        Raises:
-            InputError: It is not a Pose.
-        """
+        """Moves the tip to a target, T_world_tip; while it is held, as when dragged, no path around obstacles is planned."""
         instance("target", target, Pose, "give Pose(position, quat)")
         self._command("goal", lambda: self._follower.aim(target, held))
 
     def move_joints(self, q: Array) -> None:
-        """Moves the joints; the target follows the tip.
-
-        Args:
-            q: (n,) rad; values outside the position limits are clamped.
-
-        Raises:
-            InputError: A wrong length, or a number that is not finite.
-        """
+        """Moves the joints to q (n,) rad, clamped to their limits; the target follows the tip."""
         q = self.arm.limits.clamp(vector("q", q, self.arm.n))
         self._command("goal", lambda: self._follower.move_joints(q))
 
@@ -132,14 +109,7 @@ class RealTimeSession:
         self._command("avoiding", lambda: self._follower.set_avoiding(bool(avoiding)))
 
     def set_speed_override(self, share: float) -> None:
-        """Changes the speed of the arm's motions, also during one; the limits of the joints hold throughout.
-
-        Args:
-            share: Share of the full speed, in [0.01, 1].
-
-        Raises:
-            InputError: It is outside that range.
-        """
+        """Changes the share of the full speed, in [0.01, 1], also during a motion; the limits of the joints hold throughout."""
         share = number("share", share, _MIN_SPEED_OVERRIDE, 1.0)
 
         def change() -> None:
@@ -149,11 +119,7 @@ class RealTimeSession:
         self._command("speed override", change)
 
     def set_controller(self, name: str) -> None:
-        """Changes the controller while the arm moves.
-
-        Raises:
-            UnknownNameError: There is no such controller.
-        """
+        """Changes the controller, by its name, while the arm moves."""
         controller = controller_by_name(name, self.arm)
 
         def change() -> None:
@@ -163,14 +129,7 @@ class RealTimeSession:
         self._command("controller", change)
 
     def set_payload(self, payload: float) -> None:
-        """Changes the mass at the tip. The controller's model does not include it.
-
-        Args:
-            payload: Mass, kg.
-
-        Raises:
-            InputError: It is negative or not finite.
-        """
+        """Changes the mass at the tip, kg. The controller's model does not include it."""
         payload = number("payload", payload, 0.0)
         stepper = Stepper([self.arm], Plant(payload=payload))
 
@@ -185,14 +144,7 @@ class RealTimeSession:
         self._command("payload", change)
 
     def grip(self, width: float) -> None:
-        """Moves the gripper; the arm holds its position meanwhile.
-
-        Args:
-            width: Width between the pads, m; clamped to the gripper's range.
-
-        Raises:
-            InputError: It is not a finite number.
-        """
+        """Moves the gripper to a width between the pads, m, clamped to its range; the arm holds its position meanwhile."""
         width = number("width", width)
 
         def move() -> None:
@@ -202,14 +154,7 @@ class RealTimeSession:
         self._command("gripper", move)
 
     def set_speed(self, speed: float) -> None:
-        """Changes how fast simulated time passes.
-
-        Args:
-            speed: Simulated seconds per second, in [0.001, 1000].
-
-        Raises:
-            InputError: It is outside that range.
-        """
+        """Changes how many simulated seconds pass in a second, in [0.001, 1000]."""
         speed = number("speed", speed, MIN_SPEED, MAX_SPEED)
 
         def change() -> None:
@@ -226,13 +171,9 @@ class RealTimeSession:
         self._command("pause", change)
 
     def reset(self, keyframe: str = "") -> None:
-        """Puts everything at home, at rest, with the first target. It also ends DIVERGED and FAILED.
+        """Puts everything at home, at rest, with the first target, or at one of `keyframes`, with the target at the tip.
 
-        Args:
-            keyframe: One of `keyframes`, to put everything there instead, with the target at the tip.
-
-        Raises:
-            UnknownNameError: There is no such keyframe.
+        It also ends DIVERGED and FAILED.
         """
         if keyframe and keyframe not in self.keyframes:
             raise UnknownNameError.of("keyframe", keyframe, self.keyframes)
@@ -257,14 +198,7 @@ class RealTimeSession:
         return self._standing_by
 
     def continue_from(self, qpos: Array) -> None:
-        """Goes on where another session left the model: at rest there, with the target at the tip.
-
-        Args:
-            qpos: (nq,) positions of the whole model.
-
-        Raises:
-            InputError: A wrong length, or a number that is not finite.
-        """
+        """Goes on where another session left the model, (nq,) positions: at rest there, with the target at the tip."""
         qpos = vector("qpos", qpos, self.arm.model.nq)
 
         def change() -> None:
@@ -290,12 +224,9 @@ class RealTimeSession:
             self._thread.join(timeout=_JOIN_TIMEOUT_S)
 
     def advance(self) -> bool:
-        """Executes the queued commands and simulates one update interval.
+        """Executes the queued commands and simulates one update interval; False while paused or after a failure.
 
         No exception leaves this method: a failure appears in the status, and the session stands until `reset`.
-
-        Returns:
-            Whether simulated time passed; False while paused or after a failure.
         """
         try:
             advanced = self._advance()

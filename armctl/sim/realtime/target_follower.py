@@ -39,17 +39,11 @@ _log = logging.getLogger("armctl.sim")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedPath:
-    """A planned motion, as it is shown.
+    """A planned motion, as it is shown."""
 
-    Attributes:
-        tip: (T, 3) m, the path of the tip.
-        q_end: (n,) rad, where it ends.
-        duration: s, at full speed.
-    """
-
-    tip: Array
-    q_end: Array
-    duration: float
+    tip: Array  # (T, 3) m, the path of the tip
+    q_end: Array  # (n,) rad, where it ends
+    duration: float  # s, at full speed
 
     @classmethod
     def of(cls, arm: Arm, trajectory: Trajectory) -> PlannedPath:
@@ -63,29 +57,15 @@ class TargetFollower:
     """Moves the reference of an arm to a target that may change at any time.
 
     While nothing is in the way it follows live: differential inverse kinematics moves the joint goal, and an online motion
-    moves the reference. Each new joint goal is taken only if the whole motion to it is proved free of contact. Where it is
-    not, the reference comes to rest at the last free joint goal. Once the target is released, a path around what is in the way
-    is planned in another thread, and followed.
+    moves the reference. Each new joint goal is taken only if the whole motion to it is proved free of contact. Where it is not,
+    the reference comes to rest at the last free joint goal. Once the target is released, a path around what is in the way is
+    planned in another thread, and followed.
 
-    Attributes:
-        reference: Where the arm should be.
-        target: T_world_tip to reach.
-        oriented: Whether the target's orientation is part of the goal.
-        joint_control: Whether joint angles were commanded, so that the target follows the tip.
-        joint_goal: (n,) rad, where the reference comes to rest.
-        reach_error: Distance from the nearest reachable point to the target, m; None while it is not known to be unreachable.
-        refusal: Why the arm does not approach its target; empty if it does.
-        path: The planned path, until the target changes; None where nothing was in the way.
-        avoiding: Whether contacts are avoided.
+    `joint_goal` (n,) rad is where the reference comes to rest; `Status` explains the other attributes.
     """
 
     def __init__(self, arm: Arm, dt: float, obstacles: Obstacles):
-        """A follower that rests at home.
-
-        Args:
-            dt: s, the tick.
-            obstacles: What the arm could touch.
-        """
+        """A follower that rests at home."""
         self.arm = arm
         self.obstacles = obstacles
         self.reference = FollowerReference(arm, dt, arm.home, self._refusal)
@@ -153,12 +133,7 @@ class TargetFollower:
         self._begin(self._wanted, self._held)
 
     def advance(self, ticks: int, held_body: str = "") -> TickReference:
-        """The next ticks of the reference.
-
-        Args:
-            ticks: How many.
-            held_body: The body that the gripper holds; empty for none.
-        """
+        """The next ticks of the reference, with a body that the gripper holds; empty for none."""
         if self.reference.is_on_planned_path:
             rows = self.reference.next(ticks)
             self.joint_goal = self.arm.limits.clamp(self.reference.q)
