@@ -159,7 +159,6 @@ def out_and_back(arm: Arm, distance: float = 0.6, *, speed: float = 1.0) -> Join
         speed: Fraction of the full speed, in (0, 1].
 
     Raises:
-        InputError: The distance is no number, or the speed is outside (0, 1].
         PlanError: The arm touches something however little it moves.
     """
     check_arm(arm)

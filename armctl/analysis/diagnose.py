@@ -115,7 +115,6 @@ def diagnose(
         The findings. A file that does not load is a finding, too.
 
     Raises:
-        InputError: An argument has a wrong type.
         UnknownNameError: No robot, or nothing in the model, has that name.
     """
     name = os.path.basename(os.fspath(robot)) if isinstance(robot, (str, os.PathLike)) else "model"

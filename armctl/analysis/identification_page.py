@@ -26,7 +26,6 @@ def identification_page(estimate: ArmEstimate, path: str | os.PathLike[str]) -> 
         path: The .html file, which needs no other files. It is written atomically, and its folder is made.
 
     Raises:
-        InputError: It is no estimate, or the path has another file extension.
         ArmctlError: The file cannot be written.
     """
     instance("estimate", estimate, ArmEstimate, "armctl.identify(arm, log) returns one")

@@ -196,7 +196,6 @@ def iso9283_cycles(
         The figures; if a run fails, `ok` is False and `reason` says why.
 
     Raises:
-        InputError: An argument is out of its bounds.
         PlanError: The arm cannot work in any cube around its home.
         UnknownNameError: There is no such controller.
     """

@@ -62,9 +62,6 @@ class Admittance(ArmController):
             damping: (6,) N s/m and N m s/rad, or one number for all six. The default is critical, at least that of the
                 default stiffness.
             bandwidth: rad/s, of the position loop.
-
-        Raises:
-            InputError: A gain is negative, not finite or of the wrong length, or a mass is zero.
         """
         super().__init__(arm)
         self.bandwidth = bandwidth

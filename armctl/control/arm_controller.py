@@ -31,10 +31,6 @@ class ArmController(CompiledController):
         Args:
             dt: s, the control period; 0 means continuous time.
             continuous: Whether the arm moves continuously during the control period.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, `continuous` is not True or False, or an assigned gain
-                is negative, not finite or of the wrong length.
         """
         return self._make_law(*checked_period(dt, continuous))
 

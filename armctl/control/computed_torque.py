@@ -54,9 +54,6 @@ class ComputedTorque(ArmController):
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
             form: "discrete" or "textbook".
-
-        Raises:
-            InputError: A gain is negative or not finite, or the form is unknown.
         """
         super().__init__(arm)
         self.form = form
@@ -88,9 +85,6 @@ class ComputedTorque(ArmController):
 
         Returns:
             (n,) kg m^2.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s.
         """
         dt, _ = checked_period(dt, False)
         return extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt)

@@ -75,10 +75,6 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
             damping_ratio: 1 is critically damped.
             observer_bandwidth: rad/s up to which torques that the payload does not explain are estimated and cancelled.
             delay_margin: s, of the gains that are not given: give a larger one if the delay of the robot is unknown.
-
-        Raises:
-            InputError: A gain is negative or not finite, the observer's bandwidth is zero, or the delay margin is outside
-                [0.001, 1] s.
         """
         super().__init__(
             arm,

@@ -58,9 +58,6 @@ class ComputedTorqueObserver(ArmController):
             damping_ratio: 1 is critically damped.
             observer_bandwidth: rad/s up to which unknown torques are cancelled.
             delay_margin: s, of the gains that are not given: give a larger one if the delay of the robot is unknown.
-
-        Raises:
-            InputError: A gain is negative or not finite, or the delay margin is outside [0.001, 1] s.
         """
         super().__init__(arm)
         self.bandwidth = bandwidth

@@ -49,9 +49,6 @@ class ComputedTorqueQP(ComputedTorque):
             arm: The arm whose model and limits it uses.
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
-
-        Raises:
-            InputError: A gain is negative or not finite.
         """
         super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio)
         self.name = "qp"

@@ -44,9 +44,6 @@ class ControllerAround(CompiledController):
 
         Args:
             controller: The controller whose torques are changed.
-
-        Raises:
-            InputError: It is no controller.
         """
         check_arm(arm)
         super().__init__(arm.n)
@@ -110,9 +107,6 @@ class ControllerAround(CompiledController):
 
         Returns:
             The law, which shares that of the controller: so the controller shows what it estimates.
-
-        Raises:
-            InputError: It is no `State`, or the controller has no compiled law.
         """
         if isinstance(self.controller, CompiledController):
             inner = self.controller.begin(state)
@@ -126,9 +120,6 @@ class ControllerAround(CompiledController):
 
         Args:
             t: s, the time of the next tick.
-
-        Raises:
-            InputError: It is not a finite number.
         """
         super().finish(t)
         if has_compiled_law(self.controller, self.n):
@@ -143,9 +134,6 @@ class ControllerAround(CompiledController):
 
         Returns:
             (n,) N m.
-
-        Raises:
-            InputError: The controller gave no list of n numbers, or an argument is no `State` or no `Setpoint`.
         """
         if self.is_compiled:
             return super().torque(state, setpoint)

@@ -83,9 +83,6 @@ class ElasticFeedforward(PD):
 
         Returns:
             (n,) N m.
-
-        Raises:
-            InputError: An argument is no `State` or no `Setpoint`, or has a wrong length.
         """
         instance("state", state, State, "armctl.State(q, v) is one")
         zero = np.zeros(self.n)

@@ -105,9 +105,6 @@ class ExternalForce:
 
         Returns:
             (n,) N m, the torque from outside.
-
-        Raises:
-            InputError: An argument has a wrong length or a number that is not finite, or dt is not above 0.
         """
         n = self._arm.n
         q = vector("q", q, n)
@@ -151,9 +148,6 @@ class ExternalForce:
 
         Returns:
             (6,) N and N m, world axes, at the tip. For an arm with less than six joints, what its joints do not feel is 0.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         found = np.linalg.lstsq(self._arm.jacobian(q).T, self.torque, rcond=_RANK_TOLERANCE)[0]
         return np.asarray(found, dtype=np.float64)

@@ -32,9 +32,6 @@ class HandGuiding:
         Args:
             arm: The model; that of `ArmEstimate.applied_to` if the arm was identified.
             friction_share: The share of friction that is compensated, in [0, 0.95].
-
-        Raises:
-            InputError: The share is out of its bounds.
         """
         check_arm(arm)
         self.friction_share = number("friction_share", friction_share, 0.0, 0.95)

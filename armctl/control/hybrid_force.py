@@ -75,8 +75,6 @@ class HybridForce(ArmController):
                 the noise and the bias of the sensor.
 
         Raises:
-            InputError: No axis, a force that is not a finite number, a moment of an arm of less than six joints, or a gain that
-                is negative or not finite.
             UnknownNameError: There is no such axis or frame.
         """
         super().__init__(arm)

@@ -68,9 +68,6 @@ class Impedance(ArmController):
             posture_stiffness: (n,) or one number for all joints, N m/rad. The default is bandwidth^2 x the smallest
                 inertia of each joint.
             bandwidth: rad/s, for stiffnesses that are not given.
-
-        Raises:
-            InputError: A gain is negative, not finite or of the wrong length.
         """
         super().__init__(arm)
         bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
@@ -130,9 +127,6 @@ class Impedance(ArmController):
 
         Returns:
             (n, n) N m/rad.
-
-        Raises:
-            InputError: A list has another length, a value is not a finite number, or a stiffness is negative.
         """
         q = vector("q", q, self._arm.n)
         tip_stiffness = gain("tip_stiffness", tip_stiffness, POSE_SIZE)

@@ -127,9 +127,6 @@ class CompiledController(ABC):
 
         Args:
             n: The number of joints.
-
-        Raises:
-            InputError: It is no whole number from 1 to 1000.
         """
         self._n = integer("n", n, 1, MAX_JOINTS)
         self._clock = Clock()
@@ -223,9 +220,6 @@ class CompiledController(ABC):
 
         Args:
             t: s, the time of the next tick.
-
-        Raises:
-            InputError: It is not a finite number.
         """
         self._clock.expect(number("t", t))
 

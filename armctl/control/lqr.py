@@ -262,9 +262,6 @@ class LQR(ArmController):
 
         Returns:
             One number for each name.
-
-        Raises:
-            InputError: The control period is not a number of at least 0.
         """
         dt = number("dt", dt, 0.0)
         bandwidth = self.bandwidth

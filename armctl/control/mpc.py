@@ -80,9 +80,6 @@ class MPC(ComputedTorqueQP):
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
             torque_rate: (n,) or one number, N m/s, the largest change of the torques; 0 for no limit.
-
-        Raises:
-            InputError: An argument is negative, not finite or of the wrong length.
         """
         super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio)
         self.horizon = horizon

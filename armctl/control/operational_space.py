@@ -43,9 +43,6 @@ class OperationalSpace(ArmController):
             bandwidth: rad/s, the natural frequency of the tip's error.
             damping_ratio: 1 is critically damped.
             posture_bandwidth: rad/s, the natural frequency of the joint error in the null space.
-
-        Raises:
-            InputError: A gain is negative or not finite.
         """
         super().__init__(arm)
         self.bandwidth = bandwidth

@@ -60,9 +60,6 @@ class PD(ArmController):
             stiffness: (n,) or one number for all joints, N m/rad; replaces the one that follows from the bandwidth.
             damping: (n,) or one number for all joints, N m s/rad; replaces the one that follows from the damping ratio.
             delay_margin: s, of the gains that follow from margins: give a larger one if the delay of the robot is unknown.
-
-        Raises:
-            InputError: A gain is negative, not finite or of the wrong length, or the delay margin is outside [0.001, 1] s.
         """
         super().__init__(arm)
         damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
@@ -89,9 +86,6 @@ class PD(ArmController):
 
         Returns:
             The gains of all joints.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s.
         """
         dt, _ = checked_period(dt, False)
         default = margin_gains(self._arm, dt, self.delay_margin) if self._has_default_gains and dt else self._default

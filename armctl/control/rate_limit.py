@@ -35,9 +35,6 @@ class TorqueRateLimit(ControllerAround):
         Args:
             controller: The controller whose torques are limited.
             tau_rate_max: (n,) or one number for all joints, N m/s; 1000 N m/s is 1 N m a tick of 1 ms.
-
-        Raises:
-            InputError: It is no controller, or a rate is negative, not finite or of the wrong length.
         """
         super().__init__(arm, controller)
         self.tau_rate_max = tau_rate_max

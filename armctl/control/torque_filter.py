@@ -46,9 +46,6 @@ class Notch:
 
         Returns:
             (1, 6): b0, b1, b2, a0 = 1, a1, a2.
-
-        Raises:
-            InputError: The frequency is not below the Nyquist frequency.
         """
         from scipy.signal import iirnotch
 
@@ -80,9 +77,6 @@ class LowPass:
 
         Returns:
             (k, 6): rows of b0, b1, b2, a0 = 1, a1, a2.
-
-        Raises:
-            InputError: The frequency is not below the Nyquist frequency.
         """
         from scipy.signal import butter
 
@@ -120,9 +114,6 @@ class TorqueFilter(ControllerAround):
         Args:
             controller: The controller whose torques are filtered.
             filters: One filter, or several in series.
-
-        Raises:
-            InputError: It is no controller, or a filter is none.
         """
         super().__init__(arm, controller)
         self.filters = filters

@@ -163,7 +163,6 @@ class Commands:
             The result, measured at the tip.
 
         Raises:
-            InputError: As for `move_to`.
             LimitError: A position outside the limits.
             SimulationError: As for `move_to`.
         """
@@ -191,7 +190,6 @@ class Commands:
             where.
 
         Raises:
-            InputError: As for `move_to`.
             SimulationError: As for `move_to`.
         """
         goal = Target.read(target)

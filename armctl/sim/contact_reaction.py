@@ -44,9 +44,6 @@ class ContactReaction:
             force: An observer; one with default thresholds if left out.
             reaction: "stop", "retreat" or "float".
             seconds: As the attribute.
-
-        Raises:
-            InputError: An argument has a wrong type or value.
         """
         self.force = ExternalForce(arm) if force is None else force
         instance("force", self.force, ExternalForce, "armctl.ExternalForce(arm) is one")

@@ -104,9 +104,6 @@ class Disturbances:
         """Applies the pushes and the plant's joint torque of this moment, and returns what the motors receive for a command.
 
         That is the command `delay` ticks ago, at random up to `jitter` ticks older, or the first command until then.
-
-        Raises:
-            InputError: The joint torque is not n numbers.
         """
         if self._pushes or self._plant.joint_torque is not None:
             torque = np.zeros(len(q))

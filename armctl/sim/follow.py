@@ -44,9 +44,6 @@ class StreamRun:
         Args:
             refusal: As for `Stream`.
             targets: (7,) of each arm, for the log; changes until the end of the run count. None for no targets.
-
-        Raises:
-            InputError: An argument of another type.
         """
         instance("arms", arms, ControlledArms, "Simulation.streaming() makes a StreamRun of its arms")
         check_arm(arm)

@@ -177,9 +177,6 @@ class MPPI:
 
         Returns:
             The motion of the next interval, which begins with the position and velocity at the end of the last one.
-
-        Raises:
-            InputError: The cost is not one finite number for each future.
         """
         horizon, axes = self._mean.shape
         self._mean = np.vstack([self._mean[1:], self._mean[-1:]])
@@ -207,7 +204,6 @@ class MPPI:
             The last answer of `until`.
 
         Raises:
-            InputError: The time is negative, or the cost is not one finite number for each future.
             SimulationError: The arm diverged, or the controller failed.
         """
         ticks = max(1, round(self._interval / self.simulation.dt))

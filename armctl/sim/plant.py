@@ -94,9 +94,6 @@ class Push:
 
         Args:
             t: s.
-
-        Raises:
-            InputError: The time is not a finite number.
         """
         time = number("t", t)
         return self.start <= time < self.start + self.duration
@@ -281,7 +278,6 @@ class Plant:
             friction that the plant adds come after the arm's own bodies, joints and actuators.
 
         Raises:
-            InputError: It is no arm, or an attribute is given for another number of joints or does not fit the arm.
             ModelError: The arm was loaded as a compiled model, which cannot get further elements.
         """
         instance("arm", arm, Arm, "armctl.load(name) returns one")

@@ -34,7 +34,6 @@ def simulate(
         Every tick of it. A run that diverges ends early, and `log.failure` gives the reason.
 
     Raises:
-        InputError: An argument has a wrong type or value, or the motion is one of other joints.
         UnknownNameError: There is no such controller.
         SimulationError: The controller failed; `error.log` contains the ticks until then.
     """

@@ -69,7 +69,6 @@ class Simulation(Commands):
             viewer: Whether a page in the browser shows the simulation in real time.
 
         Raises:
-            InputError: The controller has no method `torque`, or the plant is no Plant.
             UnknownNameError: There is no such robot or controller.
             ModelError: The robot's model is no arm.
         """
@@ -92,7 +91,6 @@ class Simulation(Commands):
         """Replaces the controller.
 
         Raises:
-            InputError: It has no method `torque`.
             UnknownNameError: There is no such controller.
         """
         self._arms.controllers[self.arm.tip] = read_controller(controller, self.arm)
@@ -104,11 +102,7 @@ class Simulation(Commands):
 
     @reaction.setter
     def reaction(self, reaction: ContactReaction | None) -> None:
-        """Replaces the reaction to contacts.
-
-        Raises:
-            InputError: It is no ContactReaction.
-        """
+        """Replaces the reaction to contacts."""
         if reaction is not None:
             instance("reaction", reaction, ContactReaction, "armctl.ContactReaction(arm) is one")
         self._arms.reaction = reaction
@@ -135,9 +129,6 @@ class Simulation(Commands):
         Args:
             q: (n,) rad, the joint positions; home by default.
             v: (n,) rad/s, the joint velocities; at rest by default.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         if self._gripper is not None:
             self._gripper.reset()
@@ -158,7 +149,6 @@ class Simulation(Commands):
             The measured state after the tick.
 
         Raises:
-            InputError: A wrong length or a number that is not finite; nothing is simulated.
             SimulationError: The arm diverged, or the controller failed; `error.log` contains the steps until then.
         """
         return self._arms.step(None if torque is None else vector("torque", torque, self.arm.n))
@@ -174,7 +164,6 @@ class Simulation(Commands):
             Every tick of it; its references are NaN.
 
         Raises:
-            InputError: A wrong length, a number that is not finite, or a negative time.
             LimitError: A control outside its motor's range.
         """
         constant = constant_controls(self.arm, ctrl)

@@ -123,7 +123,6 @@ class Team:
             A log for each arm, also for those that held their positions.
 
         Raises:
-            InputError: A trajectory is no motion or one of other joints, or the dwell time is negative or too long for a log.
             UnknownNameError: There is no such tip.
             SimulationError: A controller failed; `error.log` contains the ticks of its arm until then.
         """
@@ -153,7 +152,6 @@ class Team:
             The result of each arm. An arm whose target cannot be reached holds its position, and its `reason` says why.
 
         Raises:
-            InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
             UnknownNameError: There is no such tip.
             SimulationError: A controller failed; `error.log` contains the ticks of its arm until then.
         """

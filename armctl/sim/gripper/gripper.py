@@ -80,7 +80,6 @@ class Gripper:
             hold: Runs the simulation for some seconds while the arm holds its position.
 
         Raises:
-            InputError: An argument of another type.
             ModelError: Nothing moves behind the arm's tip, or it is a hand of many actuators.
         """
         instance("arm", arm, Arm, "armctl.load(name) returns one")
@@ -130,7 +129,6 @@ class Gripper:
             The result; if an object stopped the pads, `reason` names it.
 
         Raises:
-            InputError: A width outside the gripper's range.
             SimulationError: The arm's controller failed.
         """
         width = number("width", width, 0.0, self.width_max + 1e-6)
