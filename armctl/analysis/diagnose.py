@@ -170,7 +170,6 @@ def _moving_mass(arm: Arm) -> float:
 
 
 def _contact_findings(arm: Arm) -> Iterator[Finding]:
-    """Bodies that touch each other at home."""
     model = arm.model
     data = mujoco.MjData(model)
     data.qpos[:] = arm.home_qpos

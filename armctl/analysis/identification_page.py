@@ -47,7 +47,6 @@ def identification_page(estimate: ArmEstimate, path: str | os.PathLike[str]) -> 
 
 
 def _table(estimate: ArmEstimate) -> Table:
-    """One row for each joint."""
     columns = [
         "joint",
         "held-out error",
@@ -78,7 +77,6 @@ def _table(estimate: ArmEstimate) -> Table:
 
 
 def _draw(figure: Figure, estimate: ArmEstimate) -> None:
-    """A panel for each joint."""
     validation = estimate.validation
     panels = figure.subplots(estimate.arm.n, 1, sharex=True, squeeze=False)[:, 0]
     for i, (panel, name) in enumerate(zip(panels, estimate.arm.joint_names, strict=True)):

@@ -354,7 +354,6 @@ def _compliance(arm: Arm, controller: Controller, plant: Plant) -> dict[str, obj
 
 
 def _for_json(value: object) -> object:
-    """A value with NaN as None."""
     if isinstance(value, tuple):
         return [_for_json(each) for each in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
@@ -401,7 +400,6 @@ def _target(arm: Arm, point: Array) -> Pose | Array:
 
 
 def _runs(simulation: Simulation, q: Array, motions: list[JointTrajectory]) -> list[Log]:
-    """The logs of motions one after another."""
     simulation.reset(q)
     logs: list[Log] = []
     for motion in motions:

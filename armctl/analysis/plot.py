@@ -178,7 +178,6 @@ def _range_of_names(names: Sequence[str]) -> str:
 
 
 def _target(ax: Axes, log: Log) -> None:
-    """Circles at the target's coordinates, at the end of the run."""
     for i, value in enumerate(log.target[:3]):
         if np.isfinite(value):
             ax.plot(log.t[-1], value, marker="o", color=COLORS[i], markersize=6, clip_on=False, markerfacecolor="none")

@@ -78,7 +78,6 @@ class Admittance(ArmController):
         return law.offset.copy() if isinstance(law, _core.Admittance) else np.zeros(POSE_SIZE)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         return _core.Admittance(
             self._model(dt, continuous),
             mass=self.mass,

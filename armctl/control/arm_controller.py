@@ -39,5 +39,4 @@ class ArmController(CompiledController):
         """`make_law` with checked arguments."""
 
     def _model(self, dt: float, continuous: bool) -> _core.ArmModel:
-        """The model of a control period."""
         return self._arm.core_model.for_period(dt, continuous)

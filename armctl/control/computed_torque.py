@@ -62,7 +62,6 @@ class ComputedTorque(ArmController):
         self.name = "computed-torque" if self.form == "discrete" else "computed-torque-textbook"
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         is_textbook = self.form == "textbook"
         estimate = 0.0 if is_textbook else feedback_estimate(self._arm, dt, self.bandwidth)
         return _core.ComputedTorque(

@@ -49,10 +49,7 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
     same observer. The estimate changes only while the reference moves, and it starts at zero in each run.
 
     Attributes:
-        bandwidth: rad/s of the feedback; None if it follows from the margins.
-        damping_ratio: Of the feedback; None if it follows from the margins.
         observer_bandwidth: rad/s up to which other unknown torques are cancelled; None if it follows from the margins.
-        delay_margin: s, of the gains that follow from the margins, or two and a half control periods if they are longer.
     """
 
     name = "computed-torque-learning"
@@ -107,7 +104,6 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         return law.estimate.copy() if isinstance(law, _core.ComputedTorqueLearning) else np.zeros(BODY_PARAMETERS + 1 + self.n)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         tau_max = self._arm.limits.tau_max
         deviations = [self._prior, [PRIOR_DELAY_PERIODS * dt], PRIOR_FRICTION_SHARE * tau_max]
         return _core.ComputedTorqueLearning(

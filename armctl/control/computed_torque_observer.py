@@ -72,11 +72,9 @@ class ComputedTorqueObserver(ArmController):
         return law.disturbance.copy() if isinstance(law, _core.ComputedTorqueObserver) else np.zeros(self.n)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         return _core.ComputedTorqueObserver(self._model(dt, continuous), **self._law_gains(dt, continuous))
 
     def _law_gains(self, dt: float, continuous: bool) -> dict[str, Any]:
-        """Arguments of the compiled law."""
         gains = self._gains_at(dt)
         return {
             "stiffness": gains.feedback**2,

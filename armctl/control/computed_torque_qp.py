@@ -30,10 +30,6 @@ class ComputedTorqueQP(ComputedTorque):
 
     Clipping each torque, in contrast, moves the arm off its path in all directions. The limits hold for an arm like the model;
     add a known payload to it (`Arm.with_payload`).
-
-    Attributes:
-        bandwidth: rad/s.
-        damping_ratio: 1 is critically damped.
     """
 
     def __init__(
@@ -54,11 +50,9 @@ class ComputedTorqueQP(ComputedTorque):
         self.name = "qp"
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         return _core.ComputedTorqueQP(self._model(dt, continuous), **self._law_gains(dt, continuous))
 
     def _law_gains(self, dt: float, continuous: bool) -> dict[str, Any]:
-        """Arguments of the compiled law."""
         limits = self._arm.limits
         return {
             "stiffness": self.bandwidth**2,

@@ -129,9 +129,6 @@ class ControllerAround(CompiledController):
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 
-        Args:
-            setpoint: Where the arm should be.
-
         Returns:
             (n,) N m.
         """

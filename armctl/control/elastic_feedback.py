@@ -82,9 +82,6 @@ class ElasticFeedback(ElasticFeedforward):
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 
-        Args:
-            setpoint: Where the links should be.
-
         Returns:
             (n,) N m.
 

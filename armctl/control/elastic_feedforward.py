@@ -78,9 +78,6 @@ class ElasticFeedforward(PD):
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 
-        Args:
-            setpoint: Where the links should be.
-
         Returns:
             (n,) N m.
         """

@@ -24,7 +24,6 @@ class Gain(Generic[_Checked]):
         self._check = check
 
     def __set_name__(self, owner: type, name: str) -> None:
-        """Notes the name of the attribute."""
         self._name = name
 
     # A value is read from the controller itself, since a descriptor without `__get__` does not come before it.
@@ -37,7 +36,6 @@ class Gain(Generic[_Checked]):
         def __get__(self, controller: CompiledController | None, owner: type) -> Self | _Checked: ...
 
     def __set__(self, controller: CompiledController, value: object) -> None:
-        """Checks and takes a value; a wrong one raises InputError."""
         vars(controller)[self._name] = self._check(self._name, value, controller.n)
 
 

@@ -113,7 +113,6 @@ class HybridForce(ArmController):
         return not any(self._force.values())
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         return _core.HybridForce(
             self._model(dt, continuous),
             bandwidth=self.bandwidth,

@@ -109,7 +109,6 @@ class Impedance(ArmController):
         return law
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         return _core.Impedance(
             self._model(dt, continuous),
             stiffness=np.zeros(POSE_SIZE) if callable(self._stiffness) else self._stiffness,

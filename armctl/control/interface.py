@@ -227,9 +227,6 @@ class CompiledController(ABC):
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 
-        Args:
-            setpoint: Where the arm should be.
-
         Returns:
             (n,) N m.
 

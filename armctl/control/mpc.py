@@ -54,8 +54,6 @@ class MPC(ComputedTorqueQP):
     moved to its end.
 
     Attributes:
-        bandwidth: rad/s.
-        damping_ratio: 1 is critically damped.
         horizon: s.
         torque_rate: (n,) N m/s, the largest change of the torques; 0 for no limit.
     """
@@ -101,7 +99,6 @@ class MPC(ComputedTorqueQP):
         self._ahead = (ahead.q, ahead.v_tick, ahead.a_tick)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         shares = _GROWTH ** np.arange(_BLOCKS)
         ticks = np.round(self.horizon / (dt or self._arm.dt) * shares / shares.sum()).astype(np.int64)
         return _core.MPC(

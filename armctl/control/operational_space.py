@@ -50,7 +50,6 @@ class OperationalSpace(ArmController):
         self.posture_bandwidth = posture_bandwidth
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         damping = 2 * self.damping_ratio
         return _core.OperationalSpace(
             self._model(dt, continuous),

@@ -74,7 +74,6 @@ class PD(ArmController):
         self._default = replace(self._default, stiffness=self.stiffness, damping=self.damping)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         gains = self.gains_at(dt)
         return _core.PD(stiffness=gains.stiffness, damping=gains.damping)
 

@@ -21,7 +21,6 @@ class PDFeedforward(PD):
     name = "pd-feedforward"
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         gains = self.gains_at(dt)
         model = self._model(dt, continuous)
         return _core.PDFeedforward(model, stiffness=gains.stiffness, damping=gains.damping)

@@ -20,6 +20,5 @@ class PDGravity(PD):
     name = "pd-gravity"
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
-        """A law with the present gains, at the start of a run."""
         gains = self.gains_at(dt)
         return _core.PDGravity(self._arm.core_model, stiffness=gains.stiffness, damping=gains.damping)

@@ -21,10 +21,7 @@ class TorqueRateLimit(ControllerAround):
     The first torque of a run is not limited.
 
     Attributes:
-        controller: The controller whose torques are limited.
         tau_rate_max: (n,) N m/s.
-        name: The name of the controller.
-        needs_wrench: Whether the controller needs the wrench.
     """
 
     tau_rate_max: Gain[Array] = joint_gain()

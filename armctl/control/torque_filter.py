@@ -100,10 +100,7 @@ class TorqueFilter(ControllerAround):
     A run begins with filters that are settled at its first torque.
 
     Attributes:
-        controller: The controller whose torques are filtered.
         filters: Notches and low-passes, the first one first.
-        name: The name of the controller.
-        needs_wrench: Whether the controller needs the wrench.
     """
 
     filters: Gain[tuple[Notch | LowPass, ...]] = Gain(_filters)

@@ -322,7 +322,6 @@ class Commands:
         return self._arms.start(self.arm.tip)
 
     def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:
-        """Shows the target, plans, and moves."""
         set_target(self.model, self.data, goal.position, None if goal.pose is None else goal.pose.quat)
         return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)})[self.arm.tip]
 

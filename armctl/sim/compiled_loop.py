@@ -100,7 +100,6 @@ class CompiledLoop:
         disturbances: Disturbances | None,
         sensor: WrenchSensor | None,
     ) -> _core.TickEnd:
-        """Some ticks in one call."""
         first = rows.count
         signals: dict[str, Any] = {}
         if disturbances is not None:

@@ -144,7 +144,6 @@ class _Feeling:
         force.reset()
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque of the controller."""
         self._force.update(state.q, state.v, self._motor_torque(), state.dt)
         if not self.contact and (alarm := self._force.alarm):
             self.contact = alarm

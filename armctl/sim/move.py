@@ -231,7 +231,6 @@ class ControlledArms:
         error: BaseException | None,
         controller: Controller | None = None,
     ) -> None:
-        """Makes the logs of a run that ended, by an error or without one."""
         if not recorder.has_begun:
             return
         self._logs = {}
@@ -260,7 +259,6 @@ class ControlledArms:
 
     @property
     def _controller(self) -> Controller:
-        """The controllers of all arms as one."""
         if len(self.arms) == 1:
             return next(iter(self.controllers.values()))
         return _JointController(self.controllers, self._slices, self._wrenches)

@@ -409,7 +409,6 @@ class _PushCost:
 
 
 def _free_joint(model: mujoco.MjModel, body: str) -> int:
-    """The address of a loose body in qpos."""
     instance("body", body, str, "such as 'box'")
     found = object_id(model, mujoco.mjtObj.mjOBJ_BODY, body)
     if found < 0:

@@ -58,5 +58,4 @@ def mujoco_api() -> _core.MujocoApi:
 
 
 def _address_of(function: str) -> int:
-    """The address of a function of MuJoCo."""
     return ctypes.cast(getattr(library(), function), ctypes.c_void_p).value or 0

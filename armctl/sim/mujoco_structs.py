@@ -61,7 +61,6 @@ def _struct(name: str) -> Any:
 
 
 def _c_type(listed: Any) -> Any:
-    """The C type of a field."""
     if isinstance(listed, PointerType):
         return ctypes.c_void_p
     if isinstance(listed, ArrayType):

@@ -70,8 +70,6 @@ class Obstacles:
 
 
 class _Recent(NamedTuple):
-    """A checker, and the scene that it was made for."""
-
     checker: CollisionChecker
     outside: Array
     held: str

@@ -236,7 +236,6 @@ class Plant:
         return self.name or ", ".join(self._differences()) or "nominal"
 
     def _differences(self) -> list[str]:
-        """All differences from the model, one phrase each."""
         return [
             attribute.describe(getattr(self, name))
             for name, attribute in PLANT_ATTRIBUTES.items()
@@ -416,7 +415,6 @@ def brake(model: mujoco.MjModel, dofs: IntArray) -> None:
 
 
 def _pushes(value: Push | Iterable[Push]) -> tuple[Push, ...]:
-    """One push or several as a tuple."""
     if isinstance(value, Push):
         return (value,)
     pushes = tuple(value) if isinstance(value, Iterable) else (value,)

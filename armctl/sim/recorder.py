@@ -52,7 +52,6 @@ class ReferenceTips:
     """The tips of the last reference: many runs follow the same one."""
 
     def __init__(self) -> None:
-        """Knows no tips."""
         self._last: tuple[_core.ArmModel, Array, tuple[Array, Array]] | None = None
 
     def of(self, model: _core.ArmModel, q_ref: Array) -> tuple[Array, Array]:

@@ -140,5 +140,4 @@ def _kept(_: Run, log: Log) -> Log:
 
 
 def _processors() -> int:
-    """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -88,7 +88,6 @@ class SimulatedArms(ControlledArms):
                 )
 
     def _keep_step_logs(self, steps: _StepRecording, error: BaseException | None = None) -> None:
-        """Makes the log of the steps so far."""
         duration = steps.recorder.size * self.stepper.dt
         info = self._run_info(" + ".join(steps.controllers), duration, NO_TARGET, steps.started, error)
         self._logs = {tip: steps.recorder.log(arm, info) for tip, arm in self.arms.items()}

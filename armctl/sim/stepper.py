@@ -299,7 +299,6 @@ class Stepper:
                 self._run_compiled_ticks(controller, rows, last)
 
     def _run_compiled_ticks(self, controller: CompiledController, rows: TickRows, last: int) -> None:
-        """The ticks up to row `last`, in the compiled loop."""
         end = self._compiled.run(controller, rows, last, self.state, self._disturbances, self._wrench_sensor)
         reached = rows.reference.q[end.row]
         self.q_ref = reached if np.isfinite(reached).all() else self.state.q

@@ -193,7 +193,6 @@ class Team:
         return self._arms.planned(goal, lambda: plan_to(self.arms[tip], goal, self._arms.start(tip), speed))
 
     def _by_tip(self, what: str, given: Mapping[str, _Value], example: str) -> Mapping[str, _Value]:
-        """A caller's values by tip, checked."""
         if not isinstance(given, Mapping):
             raise InputError(f"{what}: {shown(given)} is not a mapping by tip such as {example}")
         for tip in given:
@@ -201,7 +200,6 @@ class Team:
         return given
 
     def _known(self, tip: object) -> str:
-        """The name of a tip, checked."""
         if not isinstance(tip, str) or tip not in self.arms:
             raise UnknownNameError.of("tip", tip, self.arms)  # type: ignore[arg-type]
         return tip

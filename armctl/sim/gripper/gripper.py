@@ -245,7 +245,6 @@ class Gripper:
             self._hold(_MIN_WAIT_S)
 
     def _settle(self) -> None:
-        """Waits until the pads are at rest."""
         self._hold(_MIN_WAIT_S)
         deadline = self._stepper.data.time + _SETTLE_TIMEOUT_S
         before = self.width

@@ -166,7 +166,6 @@ def _travel(patch: _Patch) -> Array:
 
 
 def _tip_of(patch: _Patch) -> _Patch:
-    """Those points of a patch that move farthest."""
     travel = _travel(patch)
     far = travel >= _TIP_FRACTION * travel.max()
     return _Patch(patch.bodies[far], patch.local[far], patch.world[:, far])

@@ -193,7 +193,6 @@ def _make_servo(model: mujoco.MjModel, actuator: int, joint: int, inertia: float
 
 
 def _has_range(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator's travel has ends."""
     joint = int(model.actuator_trnid[actuator, 0])
     return not is_on_joint(model, actuator) or bool(model.jnt_limited[joint] or _is_bounded_servo(model, actuator))
 

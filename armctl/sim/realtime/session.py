@@ -303,7 +303,6 @@ class RealTimeSession:
             return None
 
     def _hold(self, seconds: float) -> None:
-        """Holds the arm while the gripper moves."""
         if self._stopping.is_set():
             raise _StoppedError
         self._stepper.run(self._controller, self._stepper.hold_reference(seconds), self._recorder())

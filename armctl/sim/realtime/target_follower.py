@@ -65,7 +65,6 @@ class TargetFollower:
     """
 
     def __init__(self, arm: Arm, dt: float, obstacles: Obstacles):
-        """A follower that rests at home."""
         self.arm = arm
         self.obstacles = obstacles
         self.reference = FollowerReference(arm, dt, arm.home, self._refusal)
@@ -275,7 +274,5 @@ class TargetFollower:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Answer:
-    """What was planned for a request."""
-
     request: object
     move: PlannedMove
