@@ -36,8 +36,8 @@ from .control.mpc import MPC as MPC
 from .control.mpc import MPCCounts as MPCCounts
 from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
-from .control.pd_feedforward import PDFeedforward as PDFeedforward
-from .control.pd_gravity import PDGravity as PDGravity
+from .control.pd import PDFeedforward as PDFeedforward
+from .control.pd import PDGravity as PDGravity
 from .control.rate_limit import TorqueRateLimit as TorqueRateLimit
 from .control.torque_filter import LowPass as LowPass
 from .control.torque_filter import Notch as Notch

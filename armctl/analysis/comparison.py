@@ -15,7 +15,6 @@ from armctl.analysis.report import Report, best_cells, contacts_in_words, report
 from armctl.collision.checkers import collision_checker
 from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError, ModelError, PlanError
-from armctl.core.log import Log
 from armctl.core.tables import Table
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import integer, number
@@ -24,7 +23,7 @@ from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import WITH_ENCODER, Plant
-from armctl.sim.simulate_many import Run, rows_as_runs, run_many
+from armctl.sim.simulate_many import rows_as_runs, run_many
 
 DEFAULT_POSES = 5
 
@@ -69,7 +68,8 @@ def compare(
     poses = integer("poses", poses, 0)
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
     reports = Comparison()
-    for pair, report in zip(pairs, run_many(arm, runs, _report, threads=integer("workers", workers, 1)), strict=True):
+    found = run_many(arm, runs, lambda _, log: Report.from_log(log), threads=integer("workers", workers, 1))
+    for pair, report in zip(pairs, found, strict=True):
         labelled = replace(report, controller=pair.controller_label, plant=pair.plant_label)
         reports.append(_with_margins(arm, pair, labelled, poses) if poses else labelled)
     return reports
@@ -120,10 +120,6 @@ class _Pair(NamedTuple):
     plant: Plant
     controller_label: str
     plant_label: str
-
-
-def _report(_: Run, log: Log) -> Report:
-    return Report.from_log(log)
 
 
 def _with_margins(arm: Arm, pair: _Pair, report: Report, poses: int) -> Report:

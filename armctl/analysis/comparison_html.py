@@ -62,7 +62,8 @@ def _page(title: str, conditions: str, notes: Sequence[str], reports: Sequence[R
     for plant, group in Comparison(reports).plants().items():
         film = "" if film_of is None else _film(group, film_of)
         elements.append(html_page.heading(plant))
-        elements.append(f'<div class="columns">{html_page.table(marked_table(group))}{film}</div>{_svg(group)}')
+        figure = figure_svg(lambda figure, group=group: _draw(figure, group), (13, 4.2))
+        elements.append(f'<div class="columns">{html_page.table(marked_table(group))}{film}</div>{figure}')
     return html_page.page(title, *elements)
 
 
@@ -80,12 +81,8 @@ def _film(reports: Sequence[Report], arm: Arm) -> str:
     return f"<figure>{video}<figcaption>{html.escape(report.controller)}</figcaption></figure>"
 
 
-def _svg(reports: Sequence[Report]) -> str:
-    """A figure of runs on one plant: error over time, the torque nearest to its limit, the path of the tip."""
-    return figure_svg(lambda figure: _draw(figure, reports), (13, 4.2))
-
-
 def _draw(figure: Figure, reports: Sequence[Report]) -> None:
+    """Runs on one plant: error over time, the torque nearest to its limit, the path of the tip."""
     error, torque, tip = figure.subplots(1, 3)
     logs = [report.log for report in reports]
     joint = max((int(np.abs(log.tau / log.tau_max).max(axis=0).argmax()) for log in logs[-1:]), default=0)

@@ -153,7 +153,7 @@ def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:
         yield Finding("warning", text, "compare effort or forcerange, and the masses, with the data sheet")
     low = static_payload(payloads)
     middle = float(np.median(payloads))
-    own = _moving_mass(arm)
+    own = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[arm.joint_map.joints[0]]])
     doubt = doubt_about_torque_limits(arm, low)
     if doubt:
         yield Finding("warning", doubt, "take effort or forcerange from the data sheet")
@@ -162,11 +162,6 @@ def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:
         yield Finding("warning", text, "these limits are doubtful; take them from the data sheet")
     elif np.isfinite(middle) and low >= 0 and not doubt:
         yield Finding("note", f"the torque limits ({source}) hold {low:.3g} kg at the tip (median {middle:.3g} kg)")
-
-
-def _moving_mass(arm: Arm) -> float:
-    """kg, the mass behind the first joint."""
-    return float(arm.model.body_subtreemass[arm.model.jnt_bodyid[arm.joint_map.joints[0]]])
 
 
 def _contact_findings(arm: Arm) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Controllers: one file each, one method `torque(state, setpoint)`."""
+"""Controllers: one method `torque(state, setpoint)`."""
 
 from collections.abc import Callable
 from functools import partial
@@ -16,9 +16,7 @@ from armctl.control.interface import CompiledController, Controller, State, cont
 from armctl.control.lqr import LQR, LQRGains
 from armctl.control.mpc import MPC, MPCCounts
 from armctl.control.operational_space import OperationalSpace
-from armctl.control.pd import PD
-from armctl.control.pd_feedforward import PDFeedforward
-from armctl.control.pd_gravity import PDGravity
+from armctl.control.pd import PD, PDFeedforward, PDGravity
 from armctl.control.rate_limit import TorqueRateLimit
 from armctl.control.torque_filter import LowPass, Notch, TorqueFilter
 from armctl.core.errors import UnknownNameError

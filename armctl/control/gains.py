@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import pi, sin, sqrt, tan
 from typing import cast
@@ -161,11 +162,16 @@ def max_damping_rate(stiffness_per_damping: float, dt: float) -> float:
     """
     delay = required_delay(dt)
     product = stiffness_per_damping * delay
+    return _largest_rate(lambda y: y / tan(y) > product, delay)
+
+
+def _largest_rate(is_stable: Callable[[float], bool], delay: float) -> float:
+    """The d, 1/s, of `max_damping_rate` at the largest stable y at a delay, s."""
     low = 0.0
     high = 0.5 * pi
     for _ in range(_BISECTIONS):
         y = 0.5 * (low + high)
-        if y / tan(y) > product:
+        if is_stable(y):
             low = y
         else:
             high = y
@@ -197,7 +203,8 @@ def margin_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) 
     rates = np.linalg.eigvalsh(root[:, None] * sampled.mobility * root)
     slowest = float(rates.min() / rates.max())
     ratio = min(_MAX_STIFFNESS_PER_DAMPING, slowest * _PD_STIFFNESS)
-    rate = _rate_at_ratio(ratio, required_delay(dt, delay_margin) + _DIFFERENCE_DELAY * dt)
+    # The largest d if b is this ratio of it.
+    rate = _largest_rate(lambda y: ratio * tan(y) * sin(y) < 1.0, required_delay(dt, delay_margin) + _DIFFERENCE_DELAY * dt)
     damping = scale * rate / rates.max()
     allowed = ratio * rate * (damping + sampled.damping)
     gravity = _gravity_stiffness(sampled, damping)
@@ -218,19 +225,6 @@ def _gravity_stiffness(sampled: SampledInertia, damping: Array) -> Array:
     root = np.sqrt(damping)
     scaled = np.abs(sampled.gravity_stiffness) * (root[:, None] / root)
     return np.asarray(scaled.sum(axis=2).max(axis=0), dtype=np.float64)
-
-
-def _rate_at_ratio(ratio: float, delay: float) -> float:
-    """The largest damping / inertia, 1/s, at a delay, s, if stiffness / damping is this ratio of it; see `max_damping_rate`."""
-    low = 0.0
-    high = 0.5 * pi
-    for _ in range(_BISECTIONS):
-        y = 0.5 * (low + high)
-        if ratio * tan(y) * sin(y) < 1.0:
-            low = y
-        else:
-            high = y
-    return low * sin(low) / delay
 
 
 def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -> Array:

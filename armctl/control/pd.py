@@ -1,4 +1,4 @@
-"""PD: a spring and a damper at every joint, and no model."""
+"""PD: a spring and a damper at every joint, alone, with gravity compensation, and with dynamic feedforward."""
 
 from __future__ import annotations
 
@@ -93,3 +93,33 @@ class PD(ArmController):
             damping=default.damping if self.damping is self._default.damping else self.damping,
             gravity_excess=default.gravity_excess,
         )
+
+
+class PDFeedforward(PD):
+    """PD with dynamic feedforward: tau = ID(q_ref, v_ref, a_ref) + stiffness (q_ref - q) + damping (v_ref - v).
+
+    After An, Atkeson, Hollerbach, Model-Based Control of a Robot Manipulator (1988), chapter 5. The model is evaluated on the
+    reference only, so measurement noise does not pass through it and the loop is that of PD. With an exact model, of which the
+    discrete form of `ComputedTorque` is the inverse, only rounding errors remain.
+    """
+
+    name = "pd-feedforward"
+
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        gains = self.gains_at(dt)
+        model = self._model(dt, continuous)
+        return _core.PDFeedforward(model, stiffness=gains.stiffness, damping=gains.damping)
+
+
+class PDGravity(PD):
+    """PD with gravity compensation: tau = g(q) + stiffness (q_ref - q) + damping (v_ref - v).
+
+    After Takegaki and Arimoto, "A new feedback method for dynamic control of manipulators" (1981). At rest the error is zero if
+    the model's gravity is exact; in motion there is a tracking error.
+    """
+
+    name = "pd-gravity"
+
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        gains = self.gains_at(dt)
+        return _core.PDGravity(self._arm.core_model, stiffness=gains.stiffness, damping=gains.damping)

@@ -1,11 +1,8 @@
-"""What task-space controllers share: the tip's pose error, and the dynamically consistent inverse of its Jacobian."""
+"""What task-space controllers share: the rows of a twist, and the dynamically consistent inverse of the tip's Jacobian."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-import pinocchio as pin
 
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
@@ -20,25 +17,6 @@ POSE_SIZE = 6
 def task_rows(arm: Arm) -> slice:
     """The rows of a twist that an arm can control: position only, if it has fewer than six joints."""
     return slice(0, POSE_SIZE if arm.n >= POSE_SIZE else 3)
-
-
-class TipError(NamedTuple):
-    """The pose error of the tip."""
-
-    error: Array  # (6,) m and rad, translation and rotation vector from the tip's pose to its reference pose, world axes
-    J_ref: Array  # (6, n), the Jacobian at the reference
-    J: Array  # (6, n), the Jacobian at the measured configuration
-
-
-def tip_error(arm: Arm, q: Array, q_ref: Array) -> TipError:
-    """The pose error of the tip at q with respect to its pose at q_ref, both (n,) rad."""
-    model = arm.pinocchio_model
-    J_ref = model.jacobian(q_ref)
-    position_ref, rotation_ref = model.tip(q_ref)
-    T_ref = pin.SE3(rotation_ref, position_ref)  # a copy: tip() reuses its memory in the next call
-    J = model.jacobian(q)
-    position, rotation = model.tip(q)
-    return TipError(np.concatenate([T_ref.translation - position, pin.log3(T_ref.rotation @ rotation.T)]), J_ref, J)
 
 
 def consistent_inverse(J: Array, M: Array) -> Array:

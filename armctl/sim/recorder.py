@@ -176,7 +176,7 @@ class Recorder:
         return tuple(
             Contact(
                 body=body_name(self._model, pair[0]),
-                other=_other_name(self._model, pair[1]),
+                other=geom_owner_name(self._model, -1 - pair[1]) if pair[1] < 0 else body_name(self._model, pair[1]),
                 start=dt * start[pair],
                 duration=dt * ticks[pair],
                 on_tool=not gripper.isdisjoint(pair),
@@ -228,8 +228,3 @@ def _touching(model: mujoco.MjModel, geoms: bytes, moving: frozenset[int], gripp
         elif second in moving:
             pairs.add((second, first or -1 - first_geom))
     return pairs
-
-
-def _other_name(model: mujoco.MjModel, other: int) -> str:
-    """The name of what a body of the arm touched, as `_touching` numbers it."""
-    return geom_owner_name(model, -1 - other) if other < 0 else body_name(model, other)

@@ -77,7 +77,7 @@ def simulate_many(
         )
     count = lengths.pop() if lengths else 1
     rows = zip(*(column if isinstance(column, list) else [column] * count for column in columns), strict=True)
-    return list(run_many(arm, rows_as_runs(arm, rows), _kept, dwell=dwell, threads=threads))
+    return list(run_many(arm, rows_as_runs(arm, rows), lambda _, log: log, dwell=dwell, threads=threads))
 
 
 def rows_as_runs(arm: Arm, rows: Any) -> list[Run]:
@@ -133,10 +133,6 @@ def _simulated(arm: Arm, run: Run, dwell: float) -> Log:
         if error.log is None or not len(error.log):
             raise
         return error.log
-
-
-def _kept(_: Run, log: Log) -> Log:
-    return log
 
 
 def _processors() -> int:

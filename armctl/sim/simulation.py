@@ -25,9 +25,6 @@ from armctl.sim.recorder import ticks_for
 from armctl.sim.simulated_arms import SimulatedArms
 from armctl.sim.stepper import Stepper
 
-if TYPE_CHECKING:
-    pass
-
 
 class Simulation(Commands):
     """An arm in its scene with a controller, commanded by Cartesian or joint targets.
@@ -88,11 +85,6 @@ class Simulation(Commands):
 
     @controller.setter
     def controller(self, controller: Controller | str) -> None:
-        """Replaces the controller.
-
-        Raises:
-            UnknownNameError: There is no such controller.
-        """
         self._arms.controllers[self.arm.tip] = read_controller(controller, self.arm)
 
     @property
@@ -102,7 +94,6 @@ class Simulation(Commands):
 
     @reaction.setter
     def reaction(self, reaction: ContactReaction | None) -> None:
-        """Replaces the reaction to contacts."""
         if reaction is not None:
             instance("reaction", reaction, ContactReaction, "armctl.ContactReaction(arm) is one")
         self._arms.reaction = reaction

@@ -193,11 +193,8 @@ def _make_servo(model: mujoco.MjModel, actuator: int, joint: int, inertia: float
 
 
 def _has_range(model: mujoco.MjModel, actuator: int) -> bool:
-    joint = int(model.actuator_trnid[actuator, 0])
-    return not is_on_joint(model, actuator) or bool(model.jnt_limited[joint] or _is_bounded_servo(model, actuator))
-
-
-def _is_bounded_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    if not is_on_joint(model, actuator) or model.jnt_limited[model.actuator_trnid[actuator, 0]]:
+        return True
     return bool(model.actuator_biasprm[actuator, 1] < 0 and model.actuator_ctrllimited[model.actuator_ctrladr[actuator]])
 
 

@@ -28,7 +28,6 @@ from armctl.sim.realtime.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
 from armctl.sim.realtime.history import History
 from armctl.sim.realtime.status import Activity, Status
 from armctl.sim.realtime.target_follower import TargetFollower
-from armctl.sim.recorder import Recorder
 from armctl.sim.stepper import AT_REST_SPEED, Stepper
 
 UPDATE_INTERVAL_S = 0.01
@@ -252,7 +251,7 @@ class RealTimeSession:
             return False
         self._follower.jog(self.hand(), self._interval * self._speed_override)
         reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)
-        self._stepper.run(self._controller, reference, self._recorder())
+        self._stepper.run(self._controller, reference, self._stepper.recorder())  # each record is thrown away
         self._elapsed += self._interval
         self._status = self._observed(self._follower.reference.q)
         return True
@@ -305,14 +304,10 @@ class RealTimeSession:
     def _hold(self, seconds: float) -> None:
         if self._stopping.is_set():
             raise _StoppedError
-        self._stepper.run(self._controller, self._stepper.hold_reference(seconds), self._recorder())
+        self._stepper.run(self._controller, self._stepper.hold_reference(seconds), self._stepper.recorder())
         self._status = self._observed(self._stepper.q_ref)
         if self._thread is threading.current_thread():
             self._clock.wait(seconds)
-
-    def _recorder(self) -> Recorder:
-        """A session keeps no log, so each record is thrown away."""
-        return self._stepper.recorder()
 
     def _restart(self, keyframe: str = "") -> None:
         arm = self.arm
