@@ -165,7 +165,7 @@ class ControlledArms:
         drive = self.drive
         trajectories = {tip: each.trajectory for tip, each in moves.items() if each.trajectory is not None}
         if not trajectories:
-            return {tip: self._refused(tip, each) for tip, each in moves.items()}
+            return {tip: self._result(tip, each, 0.0, each.refusal, None) for tip, each in moves.items()}
         begin = drive.data.time
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         reference = self._reference(trajectories, ticks_for(max(durations.values()), drive.dt))
@@ -179,7 +179,7 @@ class ControlledArms:
                     break
                 drive.run(self._controller, hold, recorder)
         duration = float(drive.data.time - begin)
-        return {tip: self._result(tip, each, duration) for tip, each in moves.items()}
+        return {tip: self._result(tip, each, duration, self._reason(tip, each), self._logs[tip]) for tip, each in moves.items()}
 
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
@@ -278,31 +278,24 @@ class ControlledArms:
     def _is_still(self, tip: str) -> bool:
         return self.drive.is_still(self._slices[tip])
 
-    def _refused(self, tip: str, move: PlannedMove) -> MoveResult:
-        position_error, orientation_error = move.target.distance(self.tip_pose(tip))
-        return MoveResult(
-            ok=False,
-            position_error=position_error,
-            orientation_error=orientation_error,
-            duration=0.0,
-            reason=move.refusal,
-            log=None,
-        )
-
-    def _result(self, tip: str, move: PlannedMove, duration: float) -> MoveResult:
-        position_error, orientation_error = move.target.distance(self.tip_pose(tip))
-        log = self._logs[tip]
+    def _reason(self, tip: str, move: PlannedMove) -> str:
+        """Why a move that ran is not ok; empty if it is."""
         reason = move.refusal or self.drive.failure
         if not reason and not move.target.is_reached(self.tip_pose(tip)):
+            position_error, orientation_error = move.target.distance(self.tip_pose(tip))
             allowed = f"{length_text(move.target.tolerance)} and {move.target.angle_tolerance:g} rad are allowed"
             off = above_text(position_error, move.target.tolerance)
             reason = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
-            reason = "; ".join([reason, *map(str, log.contacts[:_MAX_CONTACTS_IN_REASON])])
+            reason = "; ".join([reason, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
         if not reason and not self._is_still(tip):
             reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
         if reason and not move.refusal and isinstance(self.drive, Stepper):
             q = self.drive.q_ref[self._slices[tip]]
             reason += hooks.instability(self.arms[tip], self.controllers[tip], q, self.drive.plant)
+        return reason
+
+    def _result(self, tip: str, move: PlannedMove, duration: float, reason: str, log: Log | None) -> MoveResult:
+        position_error, orientation_error = move.target.distance(self.tip_pose(tip))
         return MoveResult(
             ok=not reason,
             position_error=position_error,

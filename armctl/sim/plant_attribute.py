@@ -49,7 +49,7 @@ class PlantAttribute:
 
     def read(self, name: str, value: Any) -> Any:
         """A value as a caller gave it, checked; a value that is not read here is returned as it is."""
-        if self.default is None and _is_left_out(value):
+        if self.default is None and value is None:
             return None
         match self.kind:
             case Kind.NUMBER:
@@ -105,10 +105,6 @@ def number_text(value: float | Array) -> str:
     """Numbers in the fewest digits that identify them."""
     texts = [f"{x:g}" if float(f"{x:g}") == x else repr(x) for x in np.ravel(value).tolist()]
     return texts[0] if len(texts) == 1 else f"[{' '.join(texts)}]"
-
-
-def _is_left_out(value: object) -> bool:
-    return value is None
 
 
 def _per_joint(name: str, value: ArrayLike, low: float) -> Array:
