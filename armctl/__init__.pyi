@@ -38,10 +38,10 @@ from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
 from .control.pd import PDFeedforward as PDFeedforward
 from .control.pd import PDGravity as PDGravity
-from .control.rate_limit import TorqueRateLimit as TorqueRateLimit
 from .control.torque_filter import LowPass as LowPass
 from .control.torque_filter import Notch as Notch
 from .control.torque_filter import TorqueFilter as TorqueFilter
+from .control.torque_filter import TorqueRateLimit as TorqueRateLimit
 from .core.errors import ArmctlError as ArmctlError
 from .core.errors import ArmctlWarning as ArmctlWarning
 from .core.errors import InputError as InputError

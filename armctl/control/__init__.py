@@ -17,8 +17,7 @@ from armctl.control.lqr import LQR, LQRGains
 from armctl.control.mpc import MPC, MPCCounts
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD, PDFeedforward, PDGravity
-from armctl.control.rate_limit import TorqueRateLimit
-from armctl.control.torque_filter import LowPass, Notch, TorqueFilter
+from armctl.control.torque_filter import LowPass, Notch, TorqueFilter, TorqueRateLimit
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
 
