@@ -26,6 +26,7 @@ PUSH_S = 0.1
 PUSHES = 30
 CHANGES = ((1.05, 0.0), (0.95, 0.005))  # factor on masses, dry friction as a share of the torque limits
 MOTION_POINTS = 4
+OPTIONS = '<mujoco><compiler angle="radian"/><option integrator="implicitfast"/>'
 JUDGED_HZ = np.geomspace(0.5, 200.0, 20_000)
 
 
@@ -56,7 +57,7 @@ def six_joints(folder: Path) -> armctl.Arm:
     """The arm of the other benchmark, with the integrator of the robots."""
     synthetic(folder)
     path = folder / "arm.xml"
-    text = path.read_text(encoding="utf-8").replace("<mujoco>", '<mujoco><option integrator="implicitfast"/>')
+    text = path.read_text(encoding="utf-8").replace("<mujoco>", OPTIONS)
     path.write_text(text, encoding="utf-8")
     return armctl.load(path)
 
@@ -211,9 +212,9 @@ def frequency(arms: dict[str, armctl.Arm], args: argparse.Namespace) -> tuple[st
     head = ["arm", "seed", "points within bounds, %", "resonance, Hz", "error, %", "margins before: ms, Ms", "filter"]
     head += ["bandwidth x", "after, predicted", "after, true"]
     text = (
-        f"Each arm with a delay of {1e3 * DELAY_TICKS * TICK_S:g} ms, dry friction of {100 * FRICTION_SHARE:g} % of the torque limits, "
-        f"one elastic joint and encoder noise of {ENCODER_NOISE:g} rad, by PD with gravity compensation. "
-        f"{100 * total.mean():.1f} % of {len(total)} points are within the stated bounds of 95 %.\n\n"
+        f"Each arm with a delay of {1e3 * DELAY_TICKS * TICK_S:g} ms, one elastic joint, dry friction of "
+        f"{100 * FRICTION_SHARE:g} % of the torque limits and encoder noise of {ENCODER_NOISE:g} rad, by PD with gravity "
+        f"compensation. {100 * total.mean():.1f} % of {len(total)} points are within the stated bounds of 95 %.\n\n"
     )
     return "Frequency responses from recordings", text + markdown_table(head, rows)
 

@@ -29,6 +29,7 @@ _KNOTS_PER_PERIOD = 6  # of the highest frequency: quintic pieces are then accur
 _TURN_S = 1.0  # between two sets of phases
 # All joints drift, so that none turns in a measured period: dry friction is then constant.
 _DRIFT_SPEED = 0.05  # rad/s (m/s)
+_MIN_DRIFT_SPEED = 0.002
 _SHARE_OF_DRIFT = 0.5  # of the speed of the multisine
 _SHARE_OF_ROOM = 0.4
 _CORNER_HZ = 10.0  # the amplitude of the velocity is constant below, that of the acceleration above
@@ -58,6 +59,9 @@ def multisine_excitation(
     times = spacing * np.arange(round((sets * block + _TURN_S) / spacing) + 1)
     room = np.minimum(arm.limits.q_max - q, q - arm.limits.q_min)[list(joints)].clip(0.0)
     drift: Array = np.minimum(_DRIFT_SPEED, _SHARE_OF_ROOM * room)
+    if not (drift > _MIN_DRIFT_SPEED).all():
+        name = arm.joint_names[joints[int(drift.argmin())]]
+        raise PlanError(f"{arm.name:.80}: {name:.60} has no room to move at q = {np.round(q, 3)}; choose another start")
     unit = _unit_motion(times, lines, sets, len(joints), np.random.default_rng(seed))
     starts: Array = block * np.arange(1.0, sets + 1) - _PERIOD_S
     multisine = Multisine(joints, _PERIOD_S, starts, lines)

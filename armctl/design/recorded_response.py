@@ -143,7 +143,10 @@ def _spectra(log: Log, motion: Excitation, multisine: Multisine, seen: Array) ->
 def _estimate(output: ComplexArray, given: ComplexArray, instrument: ComplexArray) -> _Estimate:
     """The response matrix from `given` to `output`, each (k, n, M), with a signal without noise that excites both."""
     adjoint = instrument.conj().transpose(0, 2, 1)
-    weights = adjoint @ np.linalg.inv(given @ adjoint)
+    try:
+        weights = adjoint @ np.linalg.inv(given @ adjoint)
+    except np.linalg.LinAlgError:
+        raise InputError("log: a joint did not move or had no torque; record the motion again, or excite one joint") from None
     response = output @ weights
     freedom = output.shape[2] - output.shape[1] - 1  # one mean was subtracted
     variance = (np.abs(output - response @ given) ** 2).sum(axis=2) / freedom

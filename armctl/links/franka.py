@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from importlib import import_module
 from typing import Any
 
@@ -16,6 +18,7 @@ from armctl.links.link import Seen
 
 _COLLISION_TORQUE = 20.0  # N m, at which the robot stops; the value of Franka's examples
 _COLLISION_FORCE = 20.0  # N
+_ROWS_ON_THEIR_WAY = 5  # at most, when the robot reports what is wrong with one of them
 _HAND_SPEED = 0.05  # m/s
 _HAND_WIDTH_ERROR = 0.08  # m, of a grasp: any width counts
 
@@ -117,6 +120,8 @@ class Franka:
         except _errors(client) as error:
             raise LinkError(str(error)) from None
         self._is_first = True
+        self._received = time.monotonic()
+        self._intervals = deque([0.0], maxlen=_ROWS_ON_THEIR_WAY)
 
     def wait(self) -> tuple[int, Seen]:
         """The next tick."""
@@ -125,7 +130,11 @@ class Franka:
             state, period = self._stream().readOnce()
         except _errors(client) as error:
             self._control = None
-            raise LinkError(str(error)) from None
+            late = max(self._intervals) - self.dt
+            raise LinkError(f"{error}; a row came {1e3 * late:.1f} ms late" if late > 0.5 * self.dt else str(error)) from None
+        now = time.monotonic()
+        self._intervals.append(now - self._received)
+        self._received = now
         ticks = 1 if self._is_first else max(1, round(period.to_sec() / self.dt))
         self._is_first = False
         return ticks, self._seen(state)

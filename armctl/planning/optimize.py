@@ -18,7 +18,7 @@ from armctl.motion.checks import planning_arm
 from armctl.motion.move_through import through_waypoints
 from armctl.motion.torque_limits import InverseDynamics, within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.planning.path import CLEARANCE_M, FreeSpace
+from armctl.planning.move_free import CLEARANCE_M, FreeSpace
 from armctl.robot.arm import Arm
 
 _WAYPOINTS = (0, 1, 2, 3, 5, 8, 12, 20)  # between start and goal, of the first candidates; many stay on the given path

@@ -17,8 +17,7 @@ from armctl.motion.move_j import move_j
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import restarted
-from armctl.planning.move_free import flowing_motion, overlap_in_words
-from armctl.planning.path import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, shorten
+from armctl.planning.move_free import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, flowing_motion, overlap_in_words, shorten
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.robot.joint_map import JointMap

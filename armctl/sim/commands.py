@@ -24,7 +24,7 @@ from armctl.motion.move_cartesian import Arc, Line, PathOptions, move_c, move_l,
 from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces
-from armctl.planning.path import FreeSpace
+from armctl.planning.move_free import FreeSpace
 from armctl.sim.follow import StreamRun, follow
 from armctl.sim.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to
 from armctl.sim.obstacles import Obstacles

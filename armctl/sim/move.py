@@ -24,8 +24,7 @@ from armctl.core.validation import Array, shown
 from armctl.ik.solve import solve_ik
 from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.planning.move_free import move_free_with
-from armctl.planning.path import FreeSpace
+from armctl.planning.move_free import FreeSpace, move_free_with
 from armctl.robot.arm import Arm
 from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.drive import Drive

@@ -290,7 +290,17 @@ class MPPI:
 
 
 class MPPIOptions(TypedDict, total=False):
-    """The options of `MPPI`, for `push`."""
+    """The options of `MPPI`, for `push`.
+
+    Attributes:
+        speed: m/s, of the tip.
+        horizon: s.
+        interval: s, of one velocity, and from one plan to the next.
+        samples: How many futures are simulated for a plan.
+        temperature: Of the weights, relative to the mean cost above the least.
+        seed: Of the variations.
+        threads: How many threads simulate; by default one per core.
+    """
 
     speed: float
     horizon: float
@@ -344,7 +354,7 @@ def push(
         tolerance: m.
         angle_tolerance: rad.
         seconds: s of simulated time, after which it stops.
-        options: Those of `MPPI`.
+        **options: Those of `MPPI`.
 
     Returns:
         What was reached; `simulation.log` has all ticks.

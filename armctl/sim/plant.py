@@ -329,7 +329,7 @@ class Brake:
 
 def steps_in_python(plant: Plant, train: Drivetrain) -> bool:
     """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
-    late_or_coarse = plant.jitter or plant.sensor_delay or plant.encoder_bits
+    late_or_coarse = plant.jitter or plant.sensor_delay or plant.encoder_bits or plant.joint_torque is not None
     return bool(late_or_coarse or train.sensors.is_late or train.extra_joints)
 
 

@@ -154,15 +154,13 @@ class Stepper:
         self.data = mujoco.MjData(model)
         self.actuation = train.actuation
         self._train = train
-        self._is_elastic = bool(train.extra_joints)
-        self._joints = _index(self.actuation.qpos_adr)
-        self._dofs = _index(self.actuation.dof_adr)
+        self._joints = self.actuation.qpos_adr if train.springs else _index(self.actuation.qpos_adr)
+        self._dofs = self.actuation.dof_adr if train.springs else _index(self.actuation.dof_adr)
         self._motors = _index(self.actuation.ctrl_adr)
         self._drives = _index(self.actuation.torque_adr)
         # A slice of MuJoCo's arrays is a view that stays valid; other addresses have to be gathered at every tick.
         is_whole = bool((self.actuation.torque_share == 1.0).all())
-        is_view = isinstance(self._dofs, slice) and not train.springs
-        self._qvel = self.data.qvel[self._dofs] if is_view else None
+        self._qvel = self.data.qvel[self._dofs] if isinstance(self._dofs, slice) else None
         self._motor_torque = self.data.qfrc_actuator[self._drives] if isinstance(self._drives, slice) and is_whole else None
         self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
 
@@ -186,8 +184,7 @@ class Stepper:
         q = self._train.link_positions(self.data.qpos)
         v = self._train.link_speeds(self.data.qvel)
         wrench = self._wrench_sensor.read(self._push)
-        deflection = self._train.deflection(self.data) if self._is_elastic else np.zeros((2, self.n))
-        return State(q, v, float(self.data.time), self.dt, self.continuous, wrench, deflection)
+        return State(q, v, float(self.data.time), self.dt, self.continuous, wrench, self._train.deflection(self.data))
 
     @property
     def measured_state(self) -> State:
@@ -314,9 +311,9 @@ class Stepper:
 
     def _runs_compiled(self, controller: Controller) -> TypeGuard[CompiledController]:
         """Whether the ticks of a controller need no Python. A compiled law can get the wrench on one tip."""
-        if self._steps_in_python or self.plant.joint_torque is not None:
+        if self._steps_in_python or not has_compiled_law(controller, self.n):
             return False
-        return has_compiled_law(controller, self.n) and (self._wrench_sensor.arms == 1 or not controller.needs_wrench)
+        return self._wrench_sensor.arms == 1 or not controller.needs_wrench
 
     def step(self, controller: Controller, rows: TickRows) -> None:
         """Runs the next tick of rows that are not complete.
@@ -381,8 +378,7 @@ class Stepper:
         torque_rows = rows.tau
         # A controller gets read-only views of the recorded rows.
         v_seen_rows = read_only(v_rows)
-        is_view = isinstance(self._joints, slice) and not self._train.springs
-        q_seen_rows = read_only(qpos_rows[:, self._joints]) if is_view else None
+        q_seen_rows = read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
         torque = controller.torque
         sensor = self._wrench_sensor if getattr(controller, "needs_wrench", False) else None
         wrench_rows = None if sensor is None else rows.with_wrench(len(sensor.true))

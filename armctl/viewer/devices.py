@@ -45,7 +45,7 @@ class HandDevices:
 
     def __init__(self) -> None:
         self._commander: object = None
-        self._shares: _Shares | None = None
+        self._shares: Array | None = None
         self._renewed_at = -math.inf
 
     @property
@@ -54,7 +54,7 @@ class HandDevices:
         shares = self._shares
         if shares is None or time.monotonic() - self._renewed_at > LEASE_S:
             return None
-        return TipVelocity(_FULL_SPEED * np.array(shares[:3]), _FULL_TURN * np.array(shares[3:]))
+        return TipVelocity(_FULL_SPEED * shares[:3], _FULL_TURN * shares[3:])
 
     async def serve(self, connection: ServerConnection) -> None:
         """Takes the messages of one visitor until the visitor leaves."""
@@ -77,7 +77,6 @@ class HandDevices:
             return
         if not all(map(math.isfinite, shares)):
             return
-        x, y, z, a, b, c = (min(max(share, -1.0), 1.0) for share in shares)
         self._commander = connection
         self._renewed_at = time.monotonic()
-        self._shares = (x, y, z, a, b, c) if any(shares) else None
+        self._shares = np.clip(shares, -1.0, 1.0) if any(shares) else None

@@ -156,6 +156,12 @@ def test_a_response_is_drawn(tmp_path, motion, elastic):
             lambda arm, motion, log: armctl.FrequencyResponse.from_log(replace(log, q=log.q[:100], t=log.t[:100]), motion, 1),
             "log",
         ),
+        (
+            lambda arm, motion, log: armctl.FrequencyResponse.from_log(
+                replace(log, tau=0 * log.tau, tau_cmd=0 * log.tau), motion, 1
+            ),
+            "log: a joint did not move",
+        ),
         (lambda arm, motion, log: armctl.excitation(arm, for_="arm", joint=1), "joint: a motion that identifies"),
         (lambda arm, motion, log: armctl.excitation(arm, for_="frequency", seconds=5.0), "seconds: expected at least"),
         (lambda arm, motion, log: armctl.excitation(arm, for_="frequency", joint="elbow"), "joint: there is no joint"),
@@ -171,3 +177,5 @@ def test_a_joint_without_room_is_refused_or_moves_less(tmp_path):
     motion = armctl.excitation(tight, for_="frequency")
     assert motion.check_limits().ok
     assert np.abs(motion.coefficients[:, 0]).max() < 0.02
+    with pytest.raises(armctl.PlanError, match="j1 has no room"):
+        armctl.excitation(tight, for_="frequency", start=[0.0, 0.02])

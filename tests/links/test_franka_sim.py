@@ -52,7 +52,7 @@ def test_no_command_is_refused_that_the_check_passed(address: str, speed: float)
         for _ in range(MOTIONS):
             lost = robot.lost_ticks
             result = robot.move_j(np.clip(arm.limits.random(arm.home, 1, rng)[0], low, high))
-            if robot.lost_ticks == lost and result.log is not None and len(result.log):
+            if robot.lost_ticks == lost and result.log is not None and len(result.log) and not result.reason.endswith("late"):
                 without_loss += 1
                 new = [name for name in re.findall(r"\w+_\w+", result.reason) if name not in known]
                 known.update(new)
@@ -61,4 +61,5 @@ def test_no_command_is_refused_that_the_check_passed(address: str, speed: float)
             if robot.fault:
                 robot.recover()
     print(f"speed {speed}: {without_loss} of {MOTIONS} motions without a lost tick, {len(refused)} refused", file=sys.stderr)
+    assert without_loss > 0, "every motion lost a tick: the computer is too busy for this test"
     assert refused == []

@@ -11,6 +11,7 @@ pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 from viewer_client import CAMERA, TIMEOUT_S, Client, control_id, until
 
 import armctl
+from armctl.cli.main import main
 from armctl.viewer.devices import PATH
 from armctl.viewer.robot_page import RobotPage
 from armctl.viewer.web_scene import WebScene
@@ -114,3 +115,12 @@ def test_a_fault_stays_until_a_visitor_recovers():
         until(lambda: served.robot.fault == "", "it does not recover")
         visitor.close()
         client.close()
+
+
+def test_the_command_line_serves_a_page_until_ctrl_c(monkeypatch, capsys):
+    def interrupted(page: RobotPage) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RobotPage, "serve", interrupted)
+    assert main(["robot", "view", "here", "--link", "plant"]) == 0
+    assert "simulated robot_arm_3dof is at http://127.0.0.1:" in capsys.readouterr().out

@@ -51,7 +51,8 @@ private:
     static constexpr double joint_weight = 0.1;  // of c in the measure of the tip, as in ComputedTorqueQP; less bends the arm far
     // Limits of velocity and position that are farther away than this share of their range are not part of the program.
     static constexpr double near_limit = 0.15;
-    static constexpr double tolerance = 1e-9;  // relative, of a limit
+    static constexpr double tolerance = 1e-9;           // relative, of a limit
+    static constexpr double position_tolerance = 1e-6;  // rad
     // Of limits that contradict others, relative to the cost of a c that would meet them: what remains of the violation is small.
     static constexpr double violation_weight = 1e4;
 
@@ -142,7 +143,7 @@ private:
             error_[i] = setpoint.q[i] - state.q[i];
             rate_[i] = setpoint.v_tick[i] - state.v[i];
         }
-        const bool is_far = approaches_too_fast();
+        const bool is_far = approaches_too_fast() || is_outside(state);
         bool is_limited = is_far;
         for (size_t k = 0; k < nodes_.size() && !is_far; ++k) { is_limited = add_node(k, setpoint, tau) || is_limited; }
         if (!is_limited) {
@@ -264,21 +265,24 @@ private:
         return {.H = cost_, .f = no_cost_, .M = rows_, .lower = lower_, .upper = upper_};
     }
 
-    // The program with costs in the place of the bounds of velocity and position that exclude zero.
+    // The program with costs in the place of the bounds of velocity and position that exclude zero. The cost of a violation is the
+    // same at all nodes: what c can hardly change any more decides little.
     QuadraticProgram relaxed() {
         const size_t n = joints();
+        double cost = 0.0;
+        double square[3] = {};  // the largest one of the rows of torque, velocity and position
+        for (size_t i = 0; i < size(); ++i) { cost = std::max(cost, cost_(i, i)); }
+        for (size_t row = 0; row < 3 * size(); ++row) {
+            double& largest = square[row % (3 * n) / n];
+            largest = std::max(largest, dot(rows_.row(row), rows_.row(row)));
+        }
         relaxed_ = cost_;
         std::ranges::fill(f_, 0.0);
         for (size_t row = 0; row < 3 * size(); ++row) {
             const double nearest = std::min(std::max(0.0, lower_[size() + row]), upper_[size() + row]);
-            if (row % (3 * n) < n || nearest == 0.0) { continue; }
-            double square = 0.0;
-            double cost = 0.0;
-            for (size_t column = 0; column < size(); ++column) {
-                square += rows_(row, column) * rows_(row, column);
-                cost = std::max(cost, cost_(column, column));
-            }
-            const double weight = violation_weight * cost / square;
+            const size_t kind = row % (3 * n) / n;
+            if (kind == 0 || nearest == 0.0) { continue; }
+            const double weight = violation_weight * cost / square[kind];
             for (size_t i = 0; i < size(); ++i) {
                 for (size_t j = 0; j < size(); ++j) { relaxed_(i, j) += weight * rows_(row, i) * rows_(row, j); }
                 f_[i] -= weight * nearest * rows_(row, i);
@@ -287,6 +291,14 @@ private:
             upper_[size() + row] = unbounded;
         }
         return {.H = relaxed_, .f = f_, .M = rows_, .lower = lower_, .upper = upper_};
+    }
+
+    // Whether a joint is outside of its range. No plan keeps it then; the program of the tick brakes and brings it back.
+    bool is_outside(const State& state) const {
+        for (size_t i = 0; i < joints(); ++i) {
+            if (state.q[i] < q_min_[i] - position_tolerance || state.q[i] > q_max_[i] + position_tolerance) { return true; }
+        }
+        return false;
     }
 
     // Whether the feedback of an error asks for more than the limit of velocity. The motion without c is then so far from any that

@@ -17,7 +17,7 @@ from armctl.ik.differential import DifferentialIk
 from armctl.ik.solve import solve_ik
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces
-from armctl.planning.path import FreeSpace
+from armctl.planning.move_free import FreeSpace
 from armctl.robot.arm import Arm
 from armctl.sim.move import PlannedMove, plan_free
 from armctl.sim.obstacles import Obstacles
