@@ -24,7 +24,7 @@ from armctl.robot.pinocchio_model import build_pinocchio_model
 
 PER_JOINT = ("armature", "stiffness", "damping", "coulomb_friction", "offset")
 _BANDWIDTH = 20.0  # rad/s, where to start with a file that has no servos
-_MIN_INERTIA_SHARE = 0.05  # of a joint's inertia: a rotor inertia of the file below it is no start for a logarithm
+_INERTIA_SHARE = 0.05  # of a joint's inertia, where to start with a file that has no rotor inertia
 _RANGE = 100.0  # the bounds of armature, stiffness and damping over their values in the file, and reversed
 _FRICTION_SHARE = 0.05  # of a joint's typical torque: the unit of dry friction in the fit
 _MAX_DELAY_S = 0.25
@@ -256,7 +256,8 @@ def _of_file(arm: Arm, source: str | os.PathLike[str] | None) -> ServoParameters
     spec, _ = found.read()
     model = found.compile(spec)
     inertia = np.diag(arm.mass_matrix(arm.limits.clamp(arm.home)))
-    armature = np.maximum(arm.model.dof_armature[arm.dof_adr], _MIN_INERTIA_SHARE * inertia)
+    armature = arm.model.dof_armature[arm.dof_adr]
+    armature = np.where(armature > 0.0, armature, _INERTIA_SHARE * inertia)
     stiffness = inertia * _BANDWIDTH**2
     damping = 2.0 * inertia * _BANDWIDTH
     for actuator in range(model.nactuator):

@@ -17,7 +17,7 @@ from armctl.motion.trajectory.piecewise import Samples, hermite, sample
 from armctl.robot.arm import Arm
 
 _PERIOD_S = 2.0  # its inverse is the resolution in Hz
-_PERIODS = 2  # with each set of phases: the transient decays in the first, the second is measured
+_PERIODS = 3  # with each set of phases: the transient decays in the first ones, the last is measured
 _FREEDOM = 8  # sets of phases besides one for each joint, by default; the bounds of the response follow from them
 _MIN_FREEDOM = 4
 _MAX_SETS = 1000
@@ -148,9 +148,10 @@ def _drift(sets: int, speed: Array) -> tuple[Array, Array, Array, Array]:
     """
     block = _PERIODS * _PERIOD_S
     begins = block * np.arange(sets)
-    times = np.concatenate([[0.0], np.sort([*(begins + _TURN_S), *(begins + block)]), [block * sets + _TURN_S]])
+    turn = block - _PERIOD_S - _TURN_S
+    times = np.concatenate([[0.0], np.sort([*(begins + turn), *(begins + block)]), [block * sets + _TURN_S]])
     to_middle = block - 0.5 * _PERIOD_S
-    places = np.concatenate([[0.0], np.tile([_TURN_S - to_middle, 0.5 * _PERIOD_S], sets), [0.0]])
+    places = np.concatenate([[0.0], np.tile([turn - to_middle, 0.5 * _PERIOD_S], sets), [0.0]])
     moves = np.concatenate([[0.0], np.ones(2 * sets), [0.0]])
     return times, places[:, None] * speed, moves[:, None] * speed, np.zeros((len(times), len(speed)))
 

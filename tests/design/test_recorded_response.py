@@ -63,7 +63,7 @@ def test_the_motion_keeps_all_limits_and_never_turns_in_a_measured_period(arm, m
 
 def test_the_true_response_is_within_the_bounds_in_spite_of_friction_delay_and_noise(arm):
     inside = []
-    for seed in range(3):
+    for seed in range(2):
         start = arm.home + np.random.default_rng(seed).uniform(-0.3, 0.3, arm.n)
         motion = armctl.excitation(arm, for_="frequency", seed=seed, start=start)
         plant = armctl.Plant(timestep=0.002, coulomb_friction=1.0, delay=2, encoder_noise=2e-6, seed=seed)
@@ -114,7 +114,7 @@ def test_the_proposed_notch_raises_the_margin_as_predicted(arm, fits):
 
 
 def test_one_joint_alone_and_no_torques(arm):
-    motion = armctl.excitation(arm, for_="frequency", joint=2, seconds=30.0)
+    motion = armctl.excitation(arm, for_="frequency", joint=2, seconds=40.0)
     assert not np.ptp(motion.coefficients[:, 0, :2], axis=0).any()
     plant = armctl.Plant(timestep=0.002)
     law = armctl.PDGravity(arm, **STIFF)
