@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import copy
-import os
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, as_array, shown, vector
-from armctl.design.identified_model import consistent_model, edited_spec, urdf_text
+from armctl.core.validation import Array, as_array, vector
+from armctl.design.identified_model import IdentifiedArm, consistent_model
 from armctl.design.regressor import FrictionShape
-from armctl.robot.arm import Arm, check_arm
+from armctl.robot.arm import Arm, with_model
 from armctl.robot.passive_forces import set_dry_friction
-from armctl.robot.pinocchio_model import build_pinocchio_model
 
 # rad/s (m/s). Where dry friction acts fully below this speed, MuJoCo's law knows it better than filtered velocities do.
 _MIN_SHAPE_SPEED = 0.1
@@ -60,7 +56,7 @@ class Validation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmEstimate:
+class ArmEstimate(IdentifiedArm):
     """The parameters of an arm, identified from a recording. True if the recording supports them.
 
     Single parameters of a link are partly without effect on any torque; those stay near the model's values. Base parameters are
@@ -197,43 +193,21 @@ class ArmEstimate:
         Raises:
             InputError: Nothing was identified, the arm has other joints, or a link is not physically consistent.
         """
-        model = self._model(arm)
-        body = build_pinocchio_model(
-            model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
-        )
-        return replace(arm, model=model, pinocchio_model=body)
-
-    def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
-        """Writes the robot's MJCF with the identified parameters; its own actuators and meshes stay as they are.
-
-        Args:
-            path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
-            source: The name or file that the arm was loaded from; the name of the arm if left out.
-
-        Raises:
-            InputError: As for `applied_to`, or the source is not that of the arm.
-            UnknownNameError: There is no robot of the name of the arm; give `source`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".xml",))
-        write_text(path, edited_spec(self.arm, self._model(self.arm), source).to_xml())
-        return path
-
-    def to_urdf(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the arm's chain as a URDF with the identified parameters: joints, limits, inertia and friction, no meshes.
-
-        URDF has no rotor inertia; it is left out.
-
-        Args:
-            path: The .urdf file; it is written atomically, and its folder is made.
-
-        Raises:
-            InputError: As for `applied_to`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".urdf",))
-        write_text(path, urdf_text(self.applied_to(self.arm)))
-        return path
+        self._check(arm)
+        if not self.consistent.all():
+            wrong = [name for name, fits in zip(self.arm.joint_names, self.consistent, strict=True) if not fits]
+            raise InputError(f"estimate: no body can have the inertia behind {', '.join(wrong):.120}; use consistent=True")
+        model = copy.copy(arm.model)
+        consistent_model(arm, model, self.inertia)
+        model.dof_armature[arm.dof_adr] = self.rotor_inertia
+        if self.friction != "none":
+            model.dof_damping[arm.dof_adr] = self.viscous_friction
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        if self.friction != "none":
+            speed = self.friction_speeds.smoothing
+            slope = np.where(speed > _MIN_SHAPE_SPEED, self.coulomb_friction / speed, 0.0)  # 0: by the joint's inertia
+            set_dry_friction(model, arm.joint_map, self.coulomb_friction, slope)
+        return with_model(arm, model)
 
     def to_dict(self) -> dict[str, object]:
         """The figures as plain values for JSON."""
@@ -260,30 +234,6 @@ class ArmEstimate:
             "held_out_rms_of_model": validation.model_rms.tolist(),
             "held_out_relative": validation.relative.tolist(),
         }
-
-    def _model(self, arm: Arm) -> mujoco.MjModel:
-        """The arm's MuJoCo model with the identified parameters."""
-        check_arm(arm)
-        if not self.ok:
-            raise InputError(f"estimate: {self.arm.name:.40}: not identified: {self.reason:.250}")
-        if arm.joint_names != self.arm.joint_names:
-            raise InputError(
-                f"arm: its joints are {', '.join(arm.joint_names):.120}, identified are {shown(self.arm.joint_names)}"
-            )
-        if not self.consistent.all():
-            wrong = [name for name, fits in zip(self.arm.joint_names, self.consistent, strict=True) if not fits]
-            raise InputError(f"estimate: no body can have the inertia behind {', '.join(wrong):.120}; use consistent=True")
-        model = copy.copy(arm.model)
-        consistent_model(arm, model, self.inertia)
-        model.dof_armature[arm.dof_adr] = self.rotor_inertia
-        if self.friction != "none":
-            model.dof_damping[arm.dof_adr] = self.viscous_friction
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-        if self.friction != "none":
-            speed = self.friction_speeds.smoothing
-            slope = np.where(speed > _MIN_SHAPE_SPEED, self.coulomb_friction / speed, 0.0)  # 0: by the joint's inertia
-            set_dry_friction(model, arm.joint_map, self.coulomb_friction, slope)
-        return model
 
 
 def counted(names: tuple[str, ...]) -> str:

@@ -40,19 +40,12 @@ _PATH_SAMPLES = 10  # between two configurations, for a first check for collisio
 
 @dataclass(frozen=True, eq=False)
 class Multisine:
-    """Where the measured periods of a motion are, and what they contain.
-
-    Attributes:
-        joints: The joints that move.
-        period: s.
-        starts: (M,) s, where a measured period begins, each with its own phases.
-        lines: The excited multiples of 1 / period, all odd.
-    """
+    """Where the measured periods of a motion are, and what they contain."""
 
     joints: tuple[int, ...]
-    period: float
-    starts: Array
-    lines: IntArray
+    period: float  # s
+    starts: Array  # (M,) s, where a measured period begins, each with its own phases
+    lines: IntArray  # the excited multiples of 1 / period, all odd
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +66,12 @@ class Excitation(JointTrajectory):
 
 
 class _Score(NamedTuple):
-    """How well a motion shows the parameters.
+    """How well a motion shows the parameters."""
 
-    Attributes:
-        uncertainty: The mean over the joints of the logarithm of the variance of the torques of random states after a fit to
-            the motion; less is better.
-        condition: The condition number of the regressor with columns of equal length.
-    """
-
+    # The mean over the joints of the logarithm of the variance of the torques of random states after a fit to the motion; less
+    # is better.
     uncertainty: float
-    condition: float
+    condition: float  # the condition number of the regressor with columns of equal length
 
 
 def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int, start: Array | None = None) -> Excitation:
@@ -130,11 +119,7 @@ def _other_starts(arm: Arm, checker: CollisionChecker, rng: np.random.Generator)
 def _from(
     start: Array, arm: Arm, checker: CollisionChecker, score_of: _Scorer, seconds: float, speed: float, seed: int
 ) -> Excitation:
-    """The best motion from a configuration back to it.
-
-    Raises:
-        PlanError: None is safe.
-    """
+    """The best motion from a configuration back to it."""
     rng = np.random.default_rng(seed)
     near = checker.at(start, CLEARANCE_M)
     if near:

@@ -19,27 +19,16 @@ _VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction fol
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Filtered rows of a recording.
+    """Filtered rows of a recording."""
 
-    Attributes:
-        t: (K,) s.
-        v: (K, n) rad/s.
-        tau: (K, n) N m, measured.
-        model: (K, n) N m, by the model.
-        W: (K, n, p), the regressor.
-        start: (K, n) N m, by the arm's own model, dry friction included.
-        by_shape: (K, n) N m, the derivative of the torques by the logarithm of the slope of dry friction.
-        used: (K, n), 1 for a torque that the fit uses, 0 close to a reversal of a joint, where dry friction is uncertain.
-    """
-
-    t: Array
-    v: Array
-    tau: Array
-    model: Array
-    W: Array
-    start: Array
-    by_shape: Array
-    used: Array
+    t: Array  # (K,) s
+    v: Array  # (K, n) rad/s
+    tau: Array  # (K, n) N m, measured
+    model: Array  # (K, n) N m, by the model
+    W: Array  # (K, n, p), the regressor
+    start: Array  # (K, n) N m, by the arm's own model, dry friction included
+    by_shape: Array  # (K, n) N m, the derivative of the torques by the logarithm of the slope of dry friction
+    used: Array  # (K, n), 1 for a torque that the fit uses, 0 close to a reversal of a joint, where dry friction is uncertain
 
     def __len__(self) -> int:
         return len(self.t)

@@ -321,19 +321,12 @@ def frequency_response(
 
 
 class _Response(NamedTuple):
-    """The response to one multisine, each (k,), relative to the excitation.
+    """The response to one multisine, each (k,), relative to the excitation."""
 
-    Attributes:
-        response: Complex, the mean of all periods.
-        variance: Of that mean, by noise.
-        coherence: In [0, 1].
-        distortion: The square of what appears at neighbouring lines that are not excited, without noise.
-    """
-
-    response: ComplexArray
-    variance: Array
-    coherence: Array
-    distortion: Array
+    response: ComplexArray  # complex, the mean of all periods
+    variance: Array  # of that mean, by noise
+    coherence: Array  # in [0, 1]
+    distortion: Array  # the square of what appears at neighbouring lines that are not excited, without noise
 
 
 def _response(total: Array, signal: Array, lines: IntArray) -> _Response:

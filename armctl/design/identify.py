@@ -34,17 +34,11 @@ _FINDING_SHARE = 0.02  # of the typical torque at 1 rad/s, for friction
 
 
 class _Base(NamedTuple):
-    """The combinations of parameters that torques depend on.
+    """The combinations of parameters that torques depend on."""
 
-    Attributes:
-        leading: (b,) the parameter that leads each combination.
-        combination: (b, p), in units of the prior's standard deviations.
-        rows: (T, n, b), the torques of random states for a standard deviation of the prior, as shares of a typical torque.
-    """
-
-    leading: IntArray
-    combination: Array
-    rows: Array
+    leading: IntArray  # (b,) the parameter that leads each combination
+    combination: Array  # (b, p), in units of the prior's standard deviations
+    rows: Array  # (T, n, b), the torques of random states for a standard deviation of the prior, as shares of a typical torque
 
 
 def identify(

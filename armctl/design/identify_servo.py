@@ -5,22 +5,19 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance
-from armctl.design.identified_model import edited_spec, urdf_text
+from armctl.design.identified_model import IdentifiedArm
 from armctl.design.servo_simulation import ServoParameters, ServoSimulation, set_rotors_and_friction
 from armctl.loading.catalog import locate
-from armctl.robot.arm import Arm, check_arm
-from armctl.robot.pinocchio_model import build_pinocchio_model
+from armctl.robot.arm import Arm, check_arm, with_model
 
 PER_JOINT = ("armature", "stiffness", "damping", "coulomb_friction", "offset")
 _BANDWIDTH = 20.0  # rad/s, where to start with a file that has no servos
@@ -43,7 +40,7 @@ _MAX_UNEXPLAINED = 0.5  # of the difference between command and position along t
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ServoEstimate:
+class ServoEstimate(IdentifiedArm):
     """Position servos, identified from positions. True if the second motion confirms them.
 
     Attributes:
@@ -113,34 +110,12 @@ class ServoEstimate:
         Raises:
             InputError: Nothing was identified, or the arm has other joints.
         """
-        check_arm(arm)
-        if not self.ok:
-            raise InputError(f"estimate: {self.arm.name:.40}: not identified: {self.reason:.250}")
-        if arm.joint_names != self.arm.joint_names:
-            raise InputError(f"arm: {arm.name:.80} has other joints than {self.arm.name:.80}, which was identified")
+        self._check(arm)
         model = copy.copy(arm.model)
         set_rotors_and_friction(model, arm, self.parameters)
-        body = build_pinocchio_model(
-            model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
-        )
-        return replace(arm, model=model, pinocchio_model=body)
+        return with_model(arm, model)
 
-    def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
-        """Writes the robot's MJCF with the identified rotor inertia and friction, and position servos with gains and delay.
-
-        Offsets belong to the measurement and are left out.
-
-        Args:
-            path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
-            source: The name or file that the arm was loaded from; the name of the arm if left out.
-
-        Raises:
-            InputError: As for `applied_to`, or the source is not that of the arm.
-            UnknownNameError: There is no robot of the name of the arm; give `source`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".xml",))
-        spec = edited_spec(self.arm, self.applied_to(self.arm).model, source)
+    def _complete(self, spec: mujoco.MjSpec, identified: Arm) -> None:
         for actuator in spec.actuators:
             if actuator.target not in self.arm.joint_names:
                 continue
@@ -152,22 +127,6 @@ class ServoEstimate:
             actuator.forcerange = [-limit, limit] if np.isfinite(limit) else [0.0, 0.0]
             actuator.delay = self.parameters.delay
             actuator.nsample = int(np.ceil(self.parameters.delay / self.arm.dt)) + 1 if self.parameters.delay > 0.0 else 0
-        write_text(path, spec.to_xml())
-        return path
-
-    def to_urdf(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the arm's chain as a URDF with the identified Coulomb friction; URDF has no rotor inertia and no servos.
-
-        Args:
-            path: The .urdf file; it is written atomically, and its folder is made.
-
-        Raises:
-            InputError: As for `applied_to`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".urdf",))
-        write_text(path, urdf_text(self.applied_to(self.arm)))
-        return path
 
 
 def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.PathLike[str] | None = None) -> ServoEstimate:
@@ -280,11 +239,7 @@ class _Fit:
     finite differences are exact: sums of large columns that cancel would not be. Offsets are rad, the delay sampling periods.
 
     Attributes:
-        z: (p,) the parameters.
         free: (p,) False for those that keep the file's value.
-        unseen: (p,) True for those that the recording does not show.
-        file: The parameters of the file.
-        names: Their names.
     """
 
     def __init__(self, arm: Arm, log: Log, file: ServoParameters):
@@ -297,7 +252,7 @@ class _Fit:
         typical = np.sqrt(np.mean((log.q_ref - log.q) ** 2, axis=0)) * file.stiffness
         self._friction_unit = np.maximum(_FRICTION_SHARE * typical, np.finfo(float).tiny)
         self.names = [f"{joint} {kind}" for kind in PER_JOINT for joint in arm.joint_names] + ["delay"]
-        self.z = np.zeros(5 * n + 1)
+        self.z = np.zeros(5 * n + 1)  # (p,) the parameters
         self.z[3 * n : 4 * n] = file.coulomb_friction / self._friction_unit
         self._file_z = self.z.copy()
         self._low = np.full(5 * n + 1, -np.log(_RANGE))
@@ -306,7 +261,7 @@ class _Fit:
         self._high[3 * n :] = np.concatenate([np.full(n, np.inf), np.full(n, 1.0), [_MAX_DELAY_S / log.dt]])
         still = np.ptp(log.q, axis=0) < _MIN_TRAVEL_RAD
         self.free = ~np.concatenate([np.tile(still, 4), np.zeros(n + 1, bool)])
-        self.unseen = ~self.free
+        self.unseen = ~self.free  # (p,) True for those that the recording does not show
         self._alone = np.zeros(len(self.z))
         self._J = np.zeros((0, 0))
 

@@ -27,16 +27,11 @@ SEARCH_STEPS = 40  # of the search for the worst configuration
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorstMargin:
-    """The worst value of one margin, and where it occurs.
-
-    Attributes:
-        q: (n,) rad, the configuration.
-        plant: The plant, in words.
-    """
+    """The worst value of one margin, and where it occurs."""
 
     value: float
-    q: Array
-    plant: str
+    q: Array  # (n,) rad, the configuration
+    plant: str  # the plant, in words
 
 
 @dataclass(frozen=True, slots=True, eq=False)

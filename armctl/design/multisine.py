@@ -91,11 +91,7 @@ def multisine_excitation(
 
 
 def joint_index(names: tuple[str, ...], joint: int | str) -> int:
-    """The index of a joint that is given by its name or its index.
-
-    Raises:
-        InputError: There is no such joint.
-    """
+    """The index of a joint that is given by its name or its index."""
     if isinstance(joint, str):
         if joint not in names:
             raise InputError(f"joint: there is no joint {joint!r:.80}; there are {', '.join(names):.200}")

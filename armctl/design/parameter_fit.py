@@ -58,15 +58,9 @@ class ParameterFit:
     """A fit to the first rows of a recording; the others are held out.
 
     Attributes:
-        x: (p,) the parameters.
-        noise: (n,) N m, RMS of the residuals of the fit.
         torque_noise: (n,) N m, RMS of the white noise in the filtered torques.
-        inflation: (n,) factors by which correlated residuals increase the variance of an estimate.
         prior: (p,) standard deviations before any data; those of parameters that are not kept are small.
         kept: (p,) False for dry friction and offsets that stay at the model's values.
-        delay: s, by which torques were recorded later than positions.
-        cutoff: Hz.
-        shape: The shape of the friction.
     """
 
     def __init__(self, regressor: ArmRegressor, log: Log, holdout: float, consistent: bool):
@@ -76,7 +70,7 @@ class ParameterFit:
         self._holdout = holdout
         self._may_be_delayed = log.controller == RECORDED  # positions and torques of a simulation are of the same tick
         n = regressor.arm.n
-        self.cutoff = choose_cutoff(log.q, log.dt)
+        self.cutoff = choose_cutoff(log.q, log.dt)  # Hz
         q = low_pass(log.q, self.cutoff, log.dt)
         v, a = derivatives(q, log.dt)
         white = np.diff(log.tau, axis=0).std(axis=0) / np.sqrt(2)
@@ -99,16 +93,16 @@ class ParameterFit:
         start = speeds.start[:: self._stride]
         self._v_end = speeds.end[:: self._stride]
         self._v_dry = speeds.dry
-        self.x = regressor.start.copy()
+        self.x = regressor.start.copy()  # (p,) the parameters
         self._raw = regressor.rows(self._q, start, self._a, self.shape)
         self._set_friction()
         self._model = regressor.model_torques(self._q, start, self._a)
         self._model += regressor.dynamics.damping * (self._v_end - start)
-        self.delay = 0.0
+        self.delay = 0.0  # s, by which torques were recorded later than positions
         self.prior = regressor.prior.copy()
         self.kept = np.ones(regressor.layout.size, bool)
-        self.noise = 0.02 * self._scale
-        self.inflation = np.ones(n)
+        self.noise = 0.02 * self._scale  # (n,) N m, RMS of the residuals of the fit
+        self.inflation = np.ones(n)  # (n,) factors by which correlated residuals increase the variance of an estimate
         for _ in range(_ROUNDS):
             self._improve()
         self.inflation = self._inflation()

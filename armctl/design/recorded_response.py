@@ -40,17 +40,11 @@ class _Estimate(NamedTuple):
 
 
 class _Spectra(NamedTuple):
-    """Signals at the excited lines, each (k, n, M): n joints that move, M periods.
+    """Signals at the excited lines, each (k, n, M): n joints that move, M periods."""
 
-    Attributes:
-        reference: Of the motion.
-        position: Measured.
-        torque: Commanded; the torque at the motors if commands were not recorded.
-    """
-
-    reference: ComplexArray
-    position: ComplexArray
-    torque: ComplexArray
+    reference: ComplexArray  # of the motion
+    position: ComplexArray  # measured
+    torque: ComplexArray  # commanded; the torque at the motors if commands were not recorded
 
 
 def bound_factor(freedom: int) -> float:

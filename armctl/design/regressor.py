@@ -77,15 +77,10 @@ class Layout(NamedTuple):
 
 
 class FrictionShape(NamedTuple):
-    """The speeds at which friction changes, each (n,) rad/s.
+    """The speeds at which friction changes, each (n,) rad/s."""
 
-    Attributes:
-        smoothing: Dry friction is proportional to v / smoothing, clipped to [-1, 1].
-        stribeck: The breakaway torque decays as exp(-(v / stribeck)^2).
-    """
-
-    smoothing: Array
-    stribeck: Array
+    smoothing: Array  # dry friction is proportional to v / smoothing, clipped to [-1, 1]
+    stribeck: Array  # the breakaway torque decays as exp(-(v / stribeck)^2)
 
 
 class ArmRegressor:

@@ -109,17 +109,11 @@ def coarse_grid(dt: float) -> Array:
 
 
 class CoarseMargins(NamedTuple):
-    """Margins of the n eigenvalues and joints of a loop, accurate to 1 %; zero and infinite if the closed loop is unstable.
+    """Margins of the n eigenvalues and joints of a loop, accurate to 1 %; zero and infinite if the closed loop is unstable."""
 
-    Attributes:
-        delay: (n,) s, for the eigenvalues of the loop transfer function in the order of their magnitudes.
-        peak_sensitivity: (n,) of the joints, with the loops of the other joints closed.
-        decisive: Indices of the frequencies that both depend on, as they do after a small change of the loop.
-    """
-
-    delay: Array
-    peak_sensitivity: Array
-    decisive: IntArray
+    delay: Array  # (n,) s, for the eigenvalues of the loop transfer function in the order of their magnitudes
+    peak_sensitivity: Array  # (n,) of the joints, with the loops of the other joints closed
+    decisive: IntArray  # indices of the frequencies that both depend on, as they do after a small change of the loop
 
 
 def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray) -> CoarseMargins:

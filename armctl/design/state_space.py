@@ -32,19 +32,12 @@ _MAX_MODEL_ERROR = 1e-4  # relative; a controller that differs more from its lin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StateSpace:
-    """A discrete linear system x[k + 1] = A x[k] + B u[k], y[k] = C x[k] + D u[k].
+    """A discrete linear system x[k + 1] = A x[k] + B u[k], y[k] = C x[k] + D u[k]."""
 
-    Attributes:
-        A: (k, k).
-        B: (k, inputs).
-        C: (outputs, k).
-        D: (outputs, inputs).
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
+    A: Array  # (k, k)
+    B: Array  # (k, inputs)
+    C: Array  # (outputs, k)
+    D: Array  # (outputs, inputs)
 
     def response(self, inputs: Array) -> Array:
         """(T, outputs), the outputs for (T, inputs), from rest."""

@@ -53,19 +53,12 @@ _RAISE = 1.05  # of the gains of a joint, for the bound that limits it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopFigures:
-    """What a controller achieves: the worst values of all configurations and plants.
+    """What a controller achieves: the worst values of all configurations and plants."""
 
-    Attributes:
-        delay_margin: s.
-        peak_sensitivity: Ms.
-        chatter: N m (N), torque noise at rest with an encoder of 1e-5 rad that velocities are differenced from.
-        compliance: m/N, of the tip at 1 Hz in the worst direction: the error that slow unknown forces and payloads cause.
-    """
-
-    delay_margin: float
-    peak_sensitivity: float
-    chatter: float
-    compliance: float
+    delay_margin: float  # s
+    peak_sensitivity: float  # Ms
+    chatter: float  # N m (N), torque noise at rest with an encoder of 1e-5 rad that velocities are differenced from
+    compliance: float  # m/N, of the tip at 1 Hz in the worst direction: the error that slow unknown forces and payloads cause
 
     def __str__(self) -> str:
         return (
@@ -214,24 +207,14 @@ class _Bounds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Family:
-    """The gains of a law as a function of x, the logarithms of factors on its default gains.
+    """The gains of a law as a function of x, the logarithms of factors on its default gains."""
 
-    Attributes:
-        size: Of x.
-        joints: The elements of x that belong to each joint, or to all joints together.
-        limits: (size, 2) bounds of x.
-        softened: The elements of x that may be smaller in a design's start.
-        scaling: (size,) how all gains grow with the bandwidth: x for a factor f on it is log(f) x scaling.
-        gains: The arguments of the constructor at x.
-        make: The constructor.
-    """
-
-    size: int
-    joints: tuple[tuple[int, ...], ...]
-    limits: Array
-    softened: range
-    scaling: Array
-    gains: Callable[[Array], dict[str, float | Array]]
+    size: int  # of x
+    joints: tuple[tuple[int, ...], ...]  # the elements of x that belong to each joint, or to all joints together
+    limits: Array  # (size, 2) bounds of x
+    softened: range  # the elements of x that may be smaller in a design's start
+    scaling: Array  # (size,) how all gains grow with the bandwidth: x for a factor f on it is log(f) x scaling
+    gains: Callable[[Array], dict[str, float | Array]]  # the arguments of the constructor at x
     make: Callable[..., Controller]
 
     def controller(self, x: Array) -> Controller:

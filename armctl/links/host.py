@@ -20,70 +20,41 @@ _LEAD_S = 0.02  # between a word and its effect, where time passes by itself
 
 
 class Readings(NamedTuple):
-    """Readings of a stream, one for each tick that was not lost.
+    """Readings of a stream, one for each tick that was not lost."""
 
-    Attributes:
-        tick: (m,)
-        t: (m,) s.
-        q: (m, n) rad.
-        v: (m, n) rad/s.
-        tau: (m, n) N m.
-        sent: (m, n) rad, the rows that were sent.
-    """
-
-    tick: Array
-    t: Array
-    q: Array
-    v: Array
-    tau: Array
-    sent: Array
+    tick: Array  # (m,)
+    t: Array  # (m,) s
+    q: Array  # (m, n) rad
+    v: Array  # (m, n) rad/s
+    tau: Array  # (m, n) N m
+    sent: Array  # (m, n) rad, the rows that were sent
 
 
 class Progress(NamedTuple):
-    """How far a stream is.
+    """How far a stream is."""
 
-    Attributes:
-        tick: The tick of its last row.
-        streaming: Whether it goes on.
-        fault: Why the robot ended it; empty if it did not.
-        stopped: Why it was stopped; empty if it was not.
-        lost: Ticks that were lost since the link was opened.
-        readings: Those since the last question.
-    """
-
-    tick: int
-    streaming: bool
-    fault: str
-    stopped: str
-    lost: int
-    readings: Readings
+    tick: int  # the tick of its last row
+    streaming: bool  # whether it goes on
+    fault: str  # why the robot ended it; empty if it did not
+    stopped: str  # why it was stopped; empty if it was not
+    lost: int  # ticks that were lost since the link was opened
+    readings: Readings  # those since the last question
 
 
 class Played(NamedTuple):
-    """The answer to a motion that is to be played.
+    """The answer to a motion that is to be played."""
 
-    Attributes:
-        first: Its first tick.
-        reason: Why it is not played; empty if it is.
-        opens: Whether it opens a stream, whose ticks begin with 0.
-    """
-
-    first: int
-    reason: str = ""
-    opens: bool = False
+    first: int  # its first tick
+    reason: str = ""  # why it is not played; empty if it is
+    opens: bool = False  # whether it opens a stream, whose ticks begin with 0
 
 
 class LinkHost:
-    """A link with the player of its stream. `play`, `stop` and `poll` may be called by another thread than `advance`.
-
-    Attributes:
-        link: Open after `open`.
-        streaming: Whether a stream is open.
-    """
+    """A link with the player of its stream. `play`, `stop` and `poll` may be called by another thread than `advance`."""
 
     def __init__(self, link: Link):
         self.link = link
-        self.streaming = False
+        self.streaming = False  # whether a stream is open
         self._lock = Lock()
         self._player: Player | None = None
         self._last: Seen | None = None
@@ -123,9 +94,6 @@ class LinkHost:
             at: Its first tick in the open stream; None for the next possible one, or for a new stream.
             limits: What stops keep.
             delay: Ticks until a motion without a tick begins, at least: the time for planning what replaces it.
-
-        Raises:
-            LinkError: The robot reports a fault.
         """
         with self._lock:
             if self.streaming and self._player is not None:

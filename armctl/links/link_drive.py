@@ -37,54 +37,31 @@ _STOPPED = "the arm was stopped on its path"
 
 @dataclass
 class _Stream:
-    """What the drive knows of an open stream.
+    """What the drive knows of an open stream."""
 
-    Attributes:
-        next: The tick after the rows that were sent.
-        moves: Whether the motion goes on at that tick.
-        course: The motion that was sent last.
-        at: Its first tick.
-        before: (3, n) rad, the rows before `next`.
-        tick: The tick of the last row that was played.
-    """
-
-    before: Array
-    next: int = 0
-    moves: bool = False
-    course: Pieces | None = None
-    at: int = 0
-    tick: int = -1
+    before: Array  # (3, n) rad, the rows before `next`
+    next: int = 0  # the tick after the rows that were sent
+    moves: bool = False  # whether the motion goes on at that tick
+    course: Pieces | None = None  # the motion that was sent last
+    at: int = 0  # its first tick
+    tick: int = -1  # the tick of the last row that was played
 
 
 @dataclass
 class _Segment:
-    """Readings of one stream, and the ticks among them that belong to a run.
+    """Readings of one stream, and the ticks among them that belong to a run."""
 
-    Attributes:
-        first: The first tick.
-        end: The tick after the last one; None where the arm was stopped: then until it rests.
-        readings: Those of the stream, in the order of time.
-    """
-
-    first: int
-    end: int | None
-    readings: list[Readings] = field(default_factory=list)
+    first: int  # the first tick
+    end: int | None  # the tick after the last one; None where the arm was stopped: then until it rests
+    readings: list[Readings] = field(default_factory=list)  # those of the stream, in the order of time
 
 
 class LinkDrive:
     """A robot as the drive of an arm's commands.
 
     Attributes:
-        actuation: The arm's joints.
-        model: A copy of the arm's model.
         data: Its mirror: the joints where the robot measures them, all else where the model has it.
-        dt: s, the tick.
         continuous: True: a robot moves between ticks.
-        failure: Why the last run ended early; empty if it did not.
-        fault: Why the robot takes no motion until `recover`; empty if it does.
-        envelope: What every row is checked against.
-        tip_speed: m/s, the greatest that is sent.
-        lost: Ticks that were lost since the link was opened.
     """
 
     continuous = True
@@ -97,19 +74,19 @@ class LinkDrive:
             envelope: As the attribute.
             tip_speed: As the attribute.
         """
-        self.actuation = arm.actuation
-        self.model = copy.copy(arm.model)
+        self.actuation = arm.actuation  # the arm's joints
+        self.model = copy.copy(arm.model)  # a copy of the arm's model
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = arm.home_qpos
-        self.dt = link.dt
+        self.dt = link.dt  # s, the tick
         self.description = f"robot: {link.name}"
-        self.failure = ""
-        self.fault = ""
-        self.tip_speed = tip_speed
-        self.lost = 0
+        self.failure = ""  # why the last run ended early; empty if it did not
+        self.fault = ""  # why the robot takes no motion until `recover`; empty if it does
+        self.tip_speed = tip_speed  # m/s, the greatest that is sent
+        self.lost = 0  # ticks that were lost since the link was opened
         self._arm = arm
         self._host = host
-        self.envelope = envelope
+        self.envelope = envelope  # what every row is checked against
         self._passes_time = link.passes_time
         self._rest_speed = link.rest_speed
         self._tips = ReferenceTips()
@@ -194,9 +171,6 @@ class LinkDrive:
             reference: The reference of each tick.
             recorder: Where the ticks are recorded.
             to_rest: The motion that begins with the reference and ends at rest; None if the reference itself does.
-
-        Raises:
-            LinkError: The robot reported a fault before, or the link failed.
         """
         if self.fault:
             raise LinkError(self.blocked)
@@ -272,11 +246,7 @@ class LinkDrive:
             self._lose(str(error))
 
     def recover(self) -> None:
-        """Clears a fault of the robot.
-
-        Raises:
-            LinkError: The fault cannot be cleared.
-        """
+        """Clears a fault of the robot."""
         self._host.recover()
         self.fault = ""
         self.failure = ""
@@ -376,17 +346,12 @@ class LinkDrive:
 
 
 class _LinkRecorder(Recorder):
-    """Readings of a run, which become rows when the log is made: what was sent, and what was measured then.
-
-    Attributes:
-        began: Whether a run was begun, even if nothing was sent.
-        segments: Its readings, by stream.
-    """
+    """Readings of a run, which become rows when the log is made: what was sent, and what was measured then."""
 
     def __init__(self, drive: LinkDrive):
         super().__init__(drive.model, drive.actuation, drive._tips)
-        self.began = False
-        self.segments: list[_Segment] = []
+        self.began = False  # whether a run was begun, even if nothing was sent
+        self.segments: list[_Segment] = []  # its readings, by stream
         self._drive = drive
 
     @property

@@ -34,12 +34,7 @@ class _Course:
 
 
 class Player:
-    """The rows of one stream. `play` and `stop` may be called by another thread than `next`.
-
-    Attributes:
-        tick: The tick of the last row; -1 before the first.
-        dt: s.
-    """
+    """The rows of one stream. `play` and `stop` may be called by another thread than `next`."""
 
     def __init__(self, q: Array, dt: float, limits: Limits, lead: int):
         """A player that stands at q.
@@ -49,8 +44,8 @@ class Player:
             limits: The limits that stops keep: those of the plans.
             lead: Ticks between a word and its effect: a stop has to be planned meanwhile.
         """
-        self.tick = -1
-        self.dt = dt
+        self.tick = -1  # the tick of the last row; -1 before the first
+        self.dt = dt  # s
         self._limits = limits
         self._lead = lead
         self._lock = Lock()

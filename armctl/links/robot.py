@@ -314,11 +314,7 @@ class _OwnServo:
 
 
 def _lock(address: str) -> IO[str] | None:
-    """A lock on a robot for this process, released when it ends; None for a simulation.
-
-    Raises:
-        LinkError: Another program on this computer has the robot.
-    """
+    """A lock on a robot for this process, released when it ends; None for a simulation."""
     if not address:
         return None
     import fcntl

@@ -226,11 +226,7 @@ class SO101:
 
 
 def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
-    """The servos of the five joints, by a calibration file of LeRobot, compared with the model.
-
-    Raises:
-        InputError: There is no such file, it is no calibration, or the travel of a joint is not that of the model.
-    """
+    """The servos of the five joints, by a calibration file of LeRobot, compared with the model."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

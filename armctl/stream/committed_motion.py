@@ -28,25 +28,14 @@ _WAY_SHARES = (0.5, 0.25, 0.12, 0.0)  # of the way to a place that is refused; s
 
 
 class Refused(NamedTuple):
-    """Why a motion is refused.
+    """Why a motion is refused."""
 
-    Attributes:
-        time: s into the motion, when the reason occurs; infinite if that is not known.
-        reason: What is in the way, for example.
-    """
-
-    time: float
-    reason: str
+    time: float  # s into the motion, when the reason occurs; infinite if that is not known
+    reason: str  # what is in the way, for example
 
 
 class CommittedMotion:
-    """Plans motions of an arm that keep all limits and end at rest, and that nobody refuses.
-
-    Attributes:
-        checker: Proves motions free of contact; None if contacts are allowed.
-        refusal: Why a motion, as polynomials from now on, may not be made; empty if it may. None if all may.
-        obstacle: Why the last motion that was wanted was refused; empty if it was not.
-    """
+    """Plans motions of an arm that keep all limits and end at rest, and that nobody refuses."""
 
     def __init__(self, arm: Arm, checker: CollisionChecker | None = None, refusal: Callable[[Pieces], str] | None = None):
         self._limits = arm.limits
@@ -56,9 +45,9 @@ class CommittedMotion:
         self._q_max = (limits.q_max + POSITION_TOLERANCE).tolist()
         self._dynamics = InverseDynamics(arm)
         self._tau_max = (1 - _TORQUE_MARGIN) * limits.tau_max
-        self.checker = checker
-        self.refusal = refusal
-        self.obstacle = ""
+        self.checker = checker  # proves motions free of contact; None if contacts are allowed
+        self.refusal = refusal  # why a motion, as polynomials from now on, may not be made; empty if it may. None if all may
+        self.obstacle = ""  # why the last motion that was wanted was refused; empty if it was not
 
     def plan(self, start: JointState, now: float, knots: Knots) -> Pieces | None:
         """A motion from a state to the wanted ones, over times that begin at 0; None if none was found.

@@ -38,11 +38,7 @@ _NOTEBOOK_FRAMES = {"Content-Security-Policy": "frame-ancestors http://localhost
 
 
 def check_token(token: str) -> str:
-    """The token, if it is long enough and can be part of an address.
-
-    Raises:
-        InputError: It is too short.
-    """
+    """The token, if it is long enough and can be part of an address."""
     if len(token) < MIN_TOKEN_LENGTH:
         raise InputError(f"token: expected at least {MIN_TOKEN_LENGTH} characters, got {len(token)}")
     return token
@@ -65,11 +61,7 @@ class AccessControl:
         *,
         in_notebook: bool = False,
     ):
-        """Access control for one page, with the arguments of its `WebScene`.
-
-        Raises:
-            InputError: The token is too short.
-        """
+        """Access control for one page, with the arguments of its `WebScene`."""
         self.in_notebook = in_notebook
         self._token = None if token is None else check_token(token).encode()
         self._cookie_name = f"armctl-{port}"  # cookies do not distinguish ports, so the name does

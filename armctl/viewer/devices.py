@@ -26,15 +26,10 @@ _Shares = tuple[float, float, float, float, float, float]
 
 
 class TipVelocity(NamedTuple):
-    """A velocity of the tip, world axes.
+    """A velocity of the tip, world axes."""
 
-    Attributes:
-        linear: (3,) m/s.
-        angular: (3,) rad/s.
-    """
-
-    linear: Array
-    angular: Array
+    linear: Array  # (3,) m/s
+    angular: Array  # (3,) rad/s
 
 
 class HandDevices:

@@ -71,14 +71,10 @@ class _InputChanged(_Message, tag="GuiUpdateMessage"):
 
 
 class MessageFilter:
-    """Checks the messages of all clients of one page.
-
-    Attributes:
-        inputs: viser's controls by their id. Updates of other controls are dropped.
-    """
+    """Checks the messages of all clients of one page."""
 
     def __init__(self) -> None:
-        self.inputs: Mapping[str, object] = {}
+        self.inputs: Mapping[str, object] = {}  # viser's controls by their id. Updates of other controls are dropped
         self._decoder = msgspec.msgpack.Decoder(_GizmoMoved | _GizmoTaken | _GizmoReleased | _CameraMoved | _InputChanged)
         self._encoder = msgspec.msgpack.Encoder()
 

@@ -49,9 +49,6 @@ class Page:
             arms: Arms of one model; the first is commanded first.
             scenes: Functions that load the arms in a scene, by the scene's name; the arms are in the first one. Visitors
                 choose among several.
-
-        Raises:
-            UnknownNameError: There is no such controller.
         """
         self.scene = scene
         self.url = scene.url
@@ -198,11 +195,6 @@ def view(
         token: The token that visitors need. Required with a host.
         allowed_hosts: More names of this machine under which the page is reached, such as that of a gateway.
         title: What the browser's tab shows.
-
-    Raises:
-        InputError: The token is missing or too short, or the page cannot listen there.
-        NotInstalledError: viser or mjviser is missing.
-        UnknownNameError: There is no such controller.
     """
     if controller not in CONTROLLERS:  # before a browser opens
         raise UnknownNameError.of("controller", controller, CONTROLLERS)

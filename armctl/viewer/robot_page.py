@@ -136,10 +136,6 @@ def view_robot(robot: Robot, *, port: int = PORT, host: str | None = None, token
         port: As for `view`.
         host: As for `view`.
         token: As for `view`.
-
-    Raises:
-        InputError: The token is missing or too short, or the page cannot listen there.
-        NotInstalledError: viser or mjviser is missing.
     """
     scene = WebScene(port, host, token, title=f"{robot.link.name} - armctl")
     try:

@@ -80,12 +80,7 @@ class _Frame(NamedTuple):
 
 
 class WebScene:
-    """The scene of an arm on a web page. The thread that moves the arm calls `show` and never waits for the drawing.
-
-    Attributes:
-        server: viser's server, for more controls on the page.
-        devices: What the visitors' keyboards, gamepads and SpaceMice ask for.
-    """
+    """The scene of an arm on a web page. The thread that moves the arm calls `show` and never waits for the drawing."""
 
     def __init__(
         self,
@@ -105,10 +100,6 @@ class WebScene:
             token: The token that visitors need; None if no token is needed.
             allowed_hosts: More names of this machine that a request may carry in its Host header.
             in_notebook: Whether a notebook of this machine may show the page in a frame.
-
-        Raises:
-            NotInstalledError: viser or mjviser is missing.
-            InputError: The port is not a port, the token is too short, or the page cannot listen there.
         """
         if not 0 <= port <= _MAX_PORT:
             raise InputError(f"port: expected a number in [0, {_MAX_PORT}], got {port}")
@@ -126,8 +117,8 @@ class WebScene:
         self._root = f"http://{_shown_host(host)}:{self.port}"
         self.url = self._root + self._access.query()
         self._page_server = page_server.start_server(listener, self._access, title)
-        self.server = self._page_server.viser
-        self.devices = self._page_server.devices
+        self.server = self._page_server.viser  # viser's server, for more controls on the page
+        self.devices = self._page_server.devices  # what the visitors' keyboards, gamepads and SpaceMice ask for
         atexit.register(self.close)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.gui.main_panel.dock_right()
@@ -156,9 +147,6 @@ class WebScene:
 
         Args:
             with_marker: Whether the model's own target marker is drawn.
-
-        Raises:
-            NotInstalledError: mjviser is missing.
         """
         import mjviser
 
