@@ -66,8 +66,6 @@ class Excitation(JointTrajectory):
 
 
 class _Score(NamedTuple):
-    """How well a motion shows the parameters."""
-
     # The mean over the joints of the logarithm of the variance of the torques of random states after a fit to the motion; less
     # is better.
     uncertainty: float
@@ -75,10 +73,7 @@ class _Score(NamedTuple):
 
 
 def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int, start: Array | None = None) -> Excitation:
-    """The most informative of several safe motions through random configurations, from `start` back to it.
-
-    Without `start` it begins at home, or else, with a warning, at the first of several other configurations with such a motion.
-    """
+    """The most informative of several safe motions, from `start` or home; else, with a warning, from near home."""
     score_of = _Scorer(arm)
     checker = collision_checker(arm)
     checker.require_provable()
@@ -119,7 +114,6 @@ def _other_starts(arm: Arm, checker: CollisionChecker, rng: np.random.Generator)
 def _from(
     start: Array, arm: Arm, checker: CollisionChecker, score_of: _Scorer, seconds: float, speed: float, seed: int
 ) -> Excitation:
-    """The best motion from a configuration back to it."""
     rng = np.random.default_rng(seed)
     near = checker.at(start, CLEARANCE_M)
     if near:
@@ -169,7 +163,6 @@ def _from(
 def excitation_along(
     motion: JointTrajectory, excites: str, condition_number: float, clearance: float = float("nan")
 ) -> Excitation:
-    """A motion with what it is good for."""
     return Excitation(
         motion.knots,
         motion.coefficients,
@@ -194,8 +187,6 @@ def _waypoints(arm: Arm, start: Array, count: int, size: float, rng: np.random.G
 
 
 class _Scorer:
-    """Scores motions of an arm by what they leave uncertain."""
-
     def __init__(self, arm: Arm):
         self._regressor = ArmRegressor(arm, "coulomb+viscous")
         typical = self._regressor.torque_scale()
@@ -209,7 +200,6 @@ class _Scorer:
         self._base = order[:rank]
 
     def __call__(self, motion: JointTrajectory) -> _Score:
-        """The score of a motion."""
         states = motion.sample(np.linspace(0.0, motion.duration, _SCORE_SAMPLES))
         rows = self._regressor.rows(states.q, states.v, states.a, self._shape) / self._noise[:, None]
         W = rows.reshape(-1, rows.shape[2]) * self._regressor.prior

@@ -133,12 +133,7 @@ class Columns(NamedTuple):
 
 
 class _Fit:
-    """Parameters fitted to measured poses by weighted least squares.
-
-    Attributes:
-        left_out: (K, 3) m, errors of positions, each predicted by a fit to the other poses.
-        condition_number: Of the weighted Jacobian with columns of equal length.
-    """
+    """Parameters fitted to measured poses by weighted least squares."""
 
     def __init__(self, chain: KinematicChain, parameters: Sequence[Parameter], q: Array, measured: Measurement):
         self._chain = chain
@@ -160,6 +155,7 @@ class _Fit:
         factor = float(e @ e) / self.freedom  # by which the residuals are larger than the weights say
         self.covariance = factor * (inverse @ inverse.T) / np.outer(lengths, lengths)  # (p, p)
         rest = np.linalg.pinv(np.eye(3 * kinds) - _hat(J, len(q))) @ e.reshape(len(q), -1, 1)
+        # (K, 3) m, errors of positions, each predicted by a fit to the other poses.
         self.left_out = rest[:, :3, 0] * self.noise[0]
         self.noise = self.noise * np.sqrt(factor)
 
@@ -327,7 +323,6 @@ def rows_of(chain: KinematicChain, parameters: Sequence[Parameter], q: Array, po
 
 
 def _read(measured: ArrayLike | Sequence[Pose], count: int) -> Measurement:
-    """Measured poses, or positions, as many as configurations."""
     poses: Any = measured
     if isinstance(measured, Sequence) and len(measured) and all(isinstance(each, Pose) for each in measured):
         read = Measurement(np.array([T.position for T in poses]), np.array([T.rotation for T in poses]))

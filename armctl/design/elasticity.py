@@ -99,8 +99,6 @@ def _fitted(arm: Arm, log: Log, motors: Array, cutoff: float, from_torques: bool
 
 
 class _Springs:
-    """Fits compliances to filtered signals of a recording."""
-
     def __init__(self, arm: Arm, cutoff: float, dt: float, rows: slice):
         self.arm = arm
         self.armature = np.array(arm.pinocchio_model.pin_model.armature)

@@ -124,7 +124,6 @@ def _condition_number(arm: Arm, motion: JointTrajectory) -> float:
 
 
 def _payload_excitation(arm: Arm, payload: float, speed: float, seed: int) -> JointTrajectory:
-    """A motion through random configurations that shows a payload."""
     loaded = arm.with_payload(payload)
     collisions = collision_checker(arm)
     held = _holding_check(loaded)

@@ -125,7 +125,6 @@ def propose_filter(
 
 
 def _doubtful(plant: Plant) -> list[Plant]:
-    """A plant, and others with springs that it may have instead."""
     if not np.any(plant.elasticity):
         return [plant]
     stiffness = np.asarray(plant.elasticity)
@@ -180,7 +179,6 @@ def _gains(law: Controller) -> dict[str, Any]:
 
 
 def _scaled(law: Controller, factor: float) -> Controller:
-    """A law with another bandwidth."""
     if factor == 1.0 or not isinstance(law, CompiledController):
         return law
     scaled = law.fresh()

@@ -19,8 +19,6 @@ _VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction fol
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Filtered rows of a recording."""
-
     t: Array  # (K,) s
     v: Array  # (K, n) rad/s
     tau: Array  # (K, n) N m, measured
@@ -34,7 +32,6 @@ class Rows:
         return len(self.t)
 
     def part(self, rows: slice) -> Rows:
-        """Some of the rows."""
         return Rows(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 

@@ -199,7 +199,6 @@ _LABELS = {"plant": "position per torque, rad/(N m)", "closed loop": "position p
 
 
 def _draw(figure: Figure, found: FrequencyResponse) -> None:
-    """Magnitude and phase over frequency."""
     magnitude, phase = figure.subplots(2, 1, sharex=True)
     hertz = found.frequency / (2 * np.pi)
     size = np.abs(found.measured)
@@ -222,10 +221,7 @@ def _draw(figure: Figure, found: FrequencyResponse) -> None:
 
 
 class Excited:
-    """A controller whose torque at one joint is disturbed by a signal; it records what the controller commanded there.
-
-    A constant torque is added: the arm is at rest from the first tick, also if the controller does not compensate gravity.
-    """
+    """Disturbs a controller's torque at one joint by a signal, and adds a constant that holds the arm from the first tick."""
 
     def __init__(self, controller: Controller, holding_torque: Array, joint: int, signal: Array):
         self.name = controller_name(controller)
@@ -408,7 +404,6 @@ def _multisine(ticks: int, lines: IntArray, amplitude: float) -> Array:
 
 
 def standstill(arm: Arm, q: Array, duration: float) -> JointTrajectory:
-    """A trajectory that stays at q."""
     coefficients = np.zeros((1, 6, arm.n))
     coefficients[0, 0] = q
     return JointTrajectory(np.array([0.0, duration]), coefficients, arm.joint_names, arm.limits)

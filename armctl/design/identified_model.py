@@ -246,7 +246,6 @@ def _body_frames(arm: Arm) -> dict[int, pin.SE3]:
 
 
 def _in_joint_frame(model: mujoco.MjModel, body: int, frame: pin.SE3) -> pin.Inertia:
-    """The inertia of a body in the frame of its joint."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
     rotation = rotation.reshape(3, 3)

@@ -85,7 +85,6 @@ def identify(
 
 
 def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
-    """A log of the arm, long enough."""
     if isinstance(log, (str, os.PathLike)):
         units = {"q": arm.units, "tau": arm.torque_units}
         log = Log.from_csv(log, units=units, robot=arm.name)
@@ -108,7 +107,6 @@ def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
 
 
 def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
-    """The estimate, with the reasons against it."""
     regressor = fit.regressor
     arm = regressor.arm
     layout = regressor.layout
@@ -185,10 +183,7 @@ def _typical_torque(fit: ParameterFit) -> Array:
 
 
 def _hidden(base: _Base, covariance: Array) -> BoolArray:
-    """Base parameters that leave the torques of random states uncertain, since the motion did not show them.
-
-    None if the torques of all joints are certain: parameters that are uncertain alone, but not together, do no harm.
-    """
+    """Base parameters that leave torques of random states uncertain, if any are: uncertain alone, they do no harm."""
     torques = np.sqrt(np.einsum("tni,ij,tnj->n", base.rows, covariance, base.rows) / len(base.rows))
     if (torques < _SIGNIFICANT_SHARE).all():
         return np.zeros(len(covariance), bool)
@@ -209,7 +204,6 @@ def _condition_number(W: Array) -> float:
 
 
 def _validated(fit: ParameterFit) -> Validation:
-    """The prediction of the torques that the fit did not use."""
     rows = fit.held_out
     arm = fit.regressor.arm
     predicted = fit.predicted(rows)

@@ -197,7 +197,6 @@ def _reason(arm: Arm, rms: Array, lag: Array, judged: Array, by_file: Array) -> 
 
 
 def _check(arm: Arm, what: str, log: Log) -> None:
-    """Checks a recording with commands."""
     instance(what, log, Log, "armctl.Log.from_positions makes one")
     if log.joint_names != arm.joint_names:
         raise InputError(
@@ -296,7 +295,6 @@ class _Fit:
         self.z = starts[int(np.argmin((self._many(starts) ** 2).sum(axis=(1, 2))))]
 
     def solve(self) -> None:
-        """Fits the free parameters."""
         from scipy.optimize import least_squares
 
         free = self.free
@@ -341,7 +339,6 @@ class _Fit:
             self._file_z[-1] = self.z[-1]
 
     def standard_errors(self) -> ServoParameters:
-        """Standard errors in SI units."""
         errors = np.where(self.unseen | ~self.free, self._alone, self._physical(self._covariance()))
         rows = errors[:-1].reshape(5, self._n)
         found = self.parameters(self.z)

@@ -20,8 +20,6 @@ _SMALL_ANGLE = 1e-6  # rad, below which sin(x) / x is 1 in double precision
 
 
 class Parameter(NamedTuple):
-    """One error of one frame."""
-
     name: str  # such as "joint2 offset", "joint2 x", "base rz"
     kind: str  # one of `KINDS`
     frame: int  # the number of the frame in the chain
@@ -196,7 +194,6 @@ class KinematicChain:
         return with_model(replace(arm, T_body_tip=T_body_tip), model)
 
     def _tip(self, parameters: Sequence[Parameter], x: Array) -> Pose:
-        """The corrected tip in its body."""
         number = self.arm.n + 2
         nominal = self.frame_pose(number, (), np.zeros(0))
         actual = self.frame_pose(number, parameters, x)

@@ -91,7 +91,6 @@ def multisine_excitation(
 
 
 def joint_index(names: tuple[str, ...], joint: int | str) -> int:
-    """The index of a joint that is given by its name or its index."""
     if isinstance(joint, str):
         if joint not in names:
             raise InputError(f"joint: there is no joint {joint!r:.80}; there are {', '.join(names):.200}")
@@ -138,10 +137,7 @@ def _unit_motion(times: Array, lines: IntArray, sets: int, joints: int, rng: np.
 
 
 def _drift(sets: int, speed: Array) -> tuple[Array, Array, Array, Array]:
-    """Times, positions, velocities and accelerations of the slow motion, from rest to rest.
-
-    After each turn it keeps its speed (joints,), and passes zero in the middle of the measured period.
-    """
+    """Times, positions, velocities, accelerations of the slow motion, which passes zero in the middle of measured periods."""
     block = _PERIODS * _PERIOD_S
     begins = block * np.arange(sets)
     turn = block - _PERIOD_S - _TURN_S

@@ -162,7 +162,6 @@ class ParameterFit:
 
     @property
     def training(self) -> Rows:
-        """The rows that the fit uses."""
         return self.rows.part(slice(0, self._count_used()))
 
     @property
@@ -184,10 +183,7 @@ class ParameterFit:
         return (rows.W * self._weights(rows)[:, :, None]).reshape(-1, rows.W.shape[2]) * self.prior
 
     def covariance(self) -> Array:
-        """(p, p), in units of the standard deviations of the regressor's prior, of parameters that are not kept, too.
-
-        It takes into account that the speed is uncertain at which dry friction reaches its full value.
-        """
+        """(p, p), in units of the prior's deviations, of all parameters, with the doubt about the slope of dry friction."""
         rows = self.training
         K, n, p = rows.W.shape
         weights = self._weights(rows)
@@ -354,7 +350,6 @@ class ParameterFit:
         self.shape = self.shape._replace(smoothing=self._bound / self._slope)
 
     def _improve_speeds(self, rest: Array, kept: IntArray) -> None:
-        """The speeds of the friction of an arm whose law is not known."""
         rows = self.training
         layout = self.regressor.layout
 
@@ -389,10 +384,7 @@ class ParameterFit:
         return low_pass(once, self.cutoff, self._dt * self._stride).reshape(-1, *dry.shape[1:])
 
     def _sliding_speed(self, A: Array, torques: Array, slides: list[BoolArray]) -> float:
-        """The least speed of the rows with which Coulomb friction has the smallest standard error.
-
-        Rows close to a reversal have torques that a function of speed does not explain; far from it there are fewer rows.
-        """
+        """The least speed of rows by which Coulomb friction is known best: near a reversal it is no function of speed."""
         best = 0.0
         least = np.inf
         for speed, kept in zip(_SLIDING_SPEEDS, slides, strict=True):

@@ -131,10 +131,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
 
 
 def _disturbed(arm: Arm, log: Log) -> str:
-    """Why a run with saturated motors or oscillations does not show a payload, in words; empty if there is neither.
-
-    An oscillation has large accelerations above the cut-off of the filter, and what they need would count as payload.
-    """
+    """Why a run with saturated motors or oscillations, which look like payload, shows none; empty if there are neither."""
     saturated = (np.abs(log.tau) >= (1 - 1e-6) * arm.limits.tau_max).mean(axis=0)
     worst = int(saturated.argmax())
     cure = "repeat the run with lower gains or computed-torque"
@@ -234,7 +231,6 @@ class _Fit:
 
 
 def _judged(fit: _Fit) -> PayloadEstimate:
-    """What was fitted, if the run showed enough of it."""
     mass = float(fit.theta[0])
     error = float(fit.error[0])
     reason = ""

@@ -40,22 +40,18 @@ class Layout(NamedTuple):
 
     @property
     def size(self) -> int:
-        """The number of parameters."""
         return self.offset.stop
 
     @property
     def rotor(self) -> slice:
-        """Rotor inertias."""
         return slice(PARAMETERS * self.n, (PARAMETERS + 1) * self.n)
 
     @property
     def viscous(self) -> slice:
-        """Viscous friction."""
         return self._next(self.rotor, self.has_friction)
 
     @property
     def coulomb(self) -> slice:
-        """Coulomb friction."""
         return self._next(self.viscous, self.has_friction)
 
     @property
@@ -65,11 +61,9 @@ class Layout(NamedTuple):
 
     @property
     def offset(self) -> slice:
-        """Torque offsets."""
         return self._next(self.stribeck, True)
 
     def link(self, i: int) -> slice:
-        """The inertia of link i."""
         return slice(PARAMETERS * i, PARAMETERS * (i + 1))
 
     def _next(self, before: slice, present: bool) -> slice:
@@ -108,7 +102,6 @@ class ArmRegressor:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """A name for each parameter."""
         joints = self.arm.joint_names
         names = [f"{what} behind {joint}" for joint in joints for what in _INERTIAL_NAMES]
         kinds = [_JOINT_NAMES[0]]

@@ -42,8 +42,6 @@ class ServoParameters:
 
 
 class ServoSimulation:
-    """Simulates recordings of an arm with position servos."""
-
     def __init__(self, arm: Arm, dt: float):
         self.arm = arm
         model = copy.copy(arm.model)
@@ -120,7 +118,6 @@ class ServoSimulation:
 
 
 def set_rotors_and_friction(model: mujoco.MjModel, arm: Arm, parameters: ServoParameters) -> None:
-    """Gives a model rotor inertia and dry friction, in place."""
     model.dof_armature[arm.dof_adr] = parameters.armature
     model.dof_frictionloss[arm.dof_adr] = parameters.coulomb_friction
     mujoco.mj_setConst(model, mujoco.MjData(model))

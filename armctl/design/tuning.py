@@ -311,7 +311,6 @@ class _Design:
         self.add([linearizer.loop_at(static, q) for linearizer in linearizers for q in configurations])
 
     def add(self, loops: Sequence[Loop]) -> None:
-        """Adds the arms of some loops, at their configurations."""
         self._cases += [_Case(self._linearizers[loop.plant], loop, coarse_plant(loop)) for loop in loops]
 
     def start(self, family: _Family) -> Array | None:
@@ -392,11 +391,7 @@ class _Design:
         return x
 
     def _evaluated(self, controller: Controller, decisive: Mapping[int, IntArray] | None = None) -> tuple[Array, float]:
-        """What is left of the bounds, 2n numbers of each case and one of torque noise, and the logarithm of the displacement.
-
-        Args:
-            decisive: The cases to examine, by their indices, with the frequencies that decide; the others have NaN.
-        """
+        """What is left of the bounds, 2n of each case (NaN if not `decisive`) and one of noise; the log of displacement."""
         size = self._bounds_per_case
         left = np.full(size * len(self._cases) + 1, np.inf if decisive is None else np.nan)
         cost = []
@@ -422,7 +417,6 @@ class _Design:
         return "chatter" if k == len(left) - 1 else ("delay margin", "peak sensitivity")[k // self._arm.n % 2]
 
     def active(self, family: _Family, x: Array) -> tuple[str, ...]:
-        """The bound that higher gains violate, for each joint."""
         found = []
         for indices in map(list, family.joints):
             raised = x.copy()
@@ -447,18 +441,15 @@ class _Judge:
         self.design = _Design(linearizers, given if np.ndim(poses) else sampled, bounds)
 
     def loops(self, controller: Controller) -> list[Loop]:
-        """The loops of a controller."""
         return judged_loops(self.linearizers, controller, self._poses)
 
     def violating(self, loops: Sequence[Loop]) -> list[Loop]:
-        """Those that violate a bound."""
         delay = self._bounds.delay_margin
         peak = self._bounds.peak_sensitivity
         found = [(loop, loop.robustness()) for loop in loops]
         return [loop for loop, each in found if not (each.delay_margin >= delay and each.peak_sensitivity <= peak)]
 
     def figures(self, controller: Controller, loops: Sequence[Loop]) -> LoopFigures:
-        """The worst figures of a controller's loops."""
         found = [loop.robustness() for loop in loops]
         return LoopFigures(
             delay_margin=min(each.delay_margin for each in found),

@@ -131,7 +131,6 @@ class TwoMass:
 
 
 def _with_springs(arm: Arm, fits: Sequence[TwoMass], plant: Plant) -> Plant:
-    """A plant with the springs of some joints."""
     if not fits:
         return plant
     stiffness = np.zeros(arm.n)
@@ -158,7 +157,6 @@ def _misfit(arm: Arm, fits: Sequence[TwoMass], q: Array, plant: Plant) -> float:
 
 
 def fit_two_mass(response: MeasuredResponse) -> TwoMass:
-    """`FrequencyResponse.two_mass`."""
     if response.of != "plant":
         raise InputError(f"two_mass: it is the {response.of} of {response.joint}; give of='plant' to from_log")
     fit = _Fit(response)

@@ -66,35 +66,23 @@ class LinkHost:
         self._lead = max(lead, 1)
 
     def open(self) -> None:
-        """Connects."""
         self.link.open()
 
     def read(self) -> Seen:
-        """The robot now."""
         return self._last if self.streaming and self._last is not None else self.link.read()
 
     def tip(self) -> Array | None:
-        """(4, 4) by the maker's kinematics, or None."""
         return self.link.tip()
 
     def recover(self) -> None:
-        """Clears a fault."""
         self.link.recover()
         self._fault = ""
 
     def hand(self, action: str, *arguments: float) -> Any:
-        """What a hand does or tells."""
         return self.link.hand(action, *arguments)
 
     def play(self, pieces: Pieces, at: int | None, limits: Limits, delay: int = 0) -> Played:
-        """Plays a motion: opens a stream, or replaces what follows a tick of the open one.
-
-        Args:
-            pieces: A motion to rest.
-            at: Its first tick in the open stream; None for the next possible one, or for a new stream.
-            limits: What stops keep.
-            delay: Ticks until a motion without a tick begins, at least: the time for planning what replaces it.
-        """
+        """Plays a motion to rest from a tick of the open stream, or after some ticks; opens a stream if there is none."""
         with self._lock:
             if self.streaming and self._player is not None:
                 return Played(*self._player.play(pieces, at, delay))
@@ -171,5 +159,4 @@ class LinkHost:
         return Progress(tick, streaming, self._fault, self._stopped, self._lost, readings)
 
     def close(self) -> None:
-        """Disconnects."""
         self.link.close()

@@ -54,14 +54,6 @@ class LinkCheck:
 
 
 def link_check_of(drive: LinkDrive, tip_difference: float, times: Array, lost: int) -> LinkCheck:
-    """The check of a drive that held its position.
-
-    Args:
-        drive: The drive, after it held.
-        tip_difference: m.
-        times: (m,) s, of the readings.
-        lost: How many ticks.
-    """
     periods = np.diff(times)
     reason = drive.failure
     if not reason and lost > _MAX_LOST_SHARE * (len(times) + lost):

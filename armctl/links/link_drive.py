@@ -57,23 +57,11 @@ class _Segment:
 
 
 class LinkDrive:
-    """A robot as the drive of an arm's commands.
-
-    Attributes:
-        data: Its mirror: the joints where the robot measures them, all else where the model has it.
-        continuous: True: a robot moves between ticks.
-    """
+    """A robot as the drive of an arm's commands; its `data` mirrors the joints as measured, and all else as in the model."""
 
     continuous = True
 
     def __init__(self, arm: Arm, host: LinkHost | RemoteHost, link: Link, envelope: Envelope, tip_speed: float):
-        """A drive of an arm with the limits of its motions.
-
-        Args:
-            host: The host of the link, which is open.
-            envelope: As the attribute.
-            tip_speed: As the attribute.
-        """
         self.actuation = arm.actuation  # the arm's joints
         self.model = copy.copy(arm.model)  # a copy of the arm's model
         self.data = mujoco.MjData(self.model)
@@ -101,7 +89,6 @@ class LinkDrive:
 
     @property
     def n(self) -> int:
-        """The number of joints."""
         return self.actuation.n
 
     @property
@@ -143,11 +130,9 @@ class LinkDrive:
         return bool(np.abs(q - self._past[0][1])[joints].max() < self._rest_speed * window)
 
     def recorder(self) -> Recorder:
-        """A recorder for a run."""
         return _LinkRecorder(self)
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
-        """The first ticks of a trajectory."""
         rows = TickReference.of(trajectory, self.dt, ticks, self.continuous)
         self._trajectory = (rows, trajectory)
         return rows
@@ -164,14 +149,7 @@ class LinkDrive:
         recorder: Recorder,
         to_rest: Pieces | None = None,
     ) -> None:
-        """Checks a motion, has it played, and mirrors and records what the robot measures.
-
-        Args:
-            controller: Not used: the robot has its own.
-            reference: The reference of each tick.
-            recorder: Where the ticks are recorded.
-            to_rest: The motion that begins with the reference and ends at rest; None if the reference itself does.
-        """
+        """Checks a reference, or the motion `to_rest` that it begins; has it played, mirrors and records it."""
         if self.fault:
             raise LinkError(self.blocked)
         assert isinstance(recorder, _LinkRecorder)
@@ -220,11 +198,7 @@ class LinkDrive:
         return np.concatenate([part.t for segment in recorder.segments for part in segment.readings] or [np.zeros(0)])
 
     def come_to_rest(self, *, stop: bool) -> None:
-        """Waits until the arm rests.
-
-        Args:
-            stop: Whether it brakes on its path.
-        """
+        """Waits until the arm rests; with `stop` it brakes on its path."""
         segment = self._recorder.segments[-1] if self._recorder is not None and self._recorder.segments else None
         try:
             if stop and self._stream is not None:
@@ -246,17 +220,12 @@ class LinkDrive:
             self._lose(str(error))
 
     def recover(self) -> None:
-        """Clears a fault of the robot."""
         self._host.recover()
         self.fault = ""
         self.failure = ""
 
     def refusal(self, course: Pieces) -> str:
-        """Why a motion must not be sent; empty if it may.
-
-        Args:
-            course: A motion from now on, or one that continues the present one.
-        """
+        """Why a motion from now on, or one that continues the present one, must not be sent; empty if it may."""
         ticks = int(np.ceil(course.knots[-1] / self.dt - 1e-9))
         rows = sample(course, self.dt * np.arange(ticks + 2, dtype=np.float64)).q
         reason = self.envelope.refusal(rows, self._rows_before(rows[0]), self.dt)
@@ -328,13 +297,11 @@ class LinkDrive:
             self._end = readings.sent[-1]
 
     def _lose(self, fault: str) -> None:
-        """Notes a fault, which stays until `recover`."""
         self._stream = None
         self.fault = fault
         self.failure = fault
 
     def _see(self, t: float, q: Array, v: Array) -> None:
-        """Mirrors a reading."""
         self._v = v
         self._past.append((t, q))
         while len(self._past) > 2 and t - self._past[1][0] > _REST_WINDOW_S:
@@ -356,7 +323,6 @@ class _LinkRecorder(Recorder):
 
     @property
     def has_begun(self) -> bool:
-        """Whether a run was begun, even if nothing was sent."""
         return self.began
 
     def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = slice(0, 6)) -> Log:
@@ -367,7 +333,6 @@ class _LinkRecorder(Recorder):
         return super().log(arm, run, joints, wrench)
 
     def _add(self, segment: _Segment) -> None:
-        """The rows of one stream."""
         drive = self._drive
         parts = [part for part in segment.readings if len(part.tick)]
         if not parts:

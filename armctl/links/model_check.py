@@ -31,15 +31,7 @@ def tip_difference(arm: Arm, q: Array, T_base_tip: Array) -> float:
 
 
 def model_refusal(arm: Arm, seen: Seen, T_base_tip: Array | None, set_payload: float | None, payload: float) -> str:
-    """Why a model is not the robot; empty if nothing speaks against it.
-
-    Args:
-        arm: The model.
-        seen: What the robot measures.
-        T_base_tip: (4, 4) by the maker's kinematics; None if the robot does not tell.
-        set_payload: kg that the robot is set to; None if it has no such setting.
-        payload: kg at the tip, as the program says.
-    """
+    """Why a model with a payload, kg, is not the robot; empty if nothing that the robot tells speaks against it."""
     if len(seen.q) != arm.n:
         return f"the robot has {len(seen.q)} joints, the model {arm.name:.60} has {arm.n}"
     outside = np.maximum(arm.limits.q_min - seen.q, seen.q - arm.limits.q_max)

@@ -37,13 +37,7 @@ class Player:
     """The rows of one stream. `play` and `stop` may be called by another thread than `next`."""
 
     def __init__(self, q: Array, dt: float, limits: Limits, lead: int):
-        """A player that stands at q.
-
-        Args:
-            dt: s, the tick.
-            limits: The limits that stops keep: those of the plans.
-            lead: Ticks between a word and its effect: a stop has to be planned meanwhile.
-        """
+        """A player that stands at q. A word, such as a stop, has its effect after `lead` ticks: a stop has to be planned."""
         self.tick = -1  # the tick of the last row; -1 before the first
         self.dt = dt  # s
         self._limits = limits
@@ -68,16 +62,7 @@ class Player:
             return self._courses[0].row(self.tick)
 
     def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> tuple[int, str]:
-        """Replaces what follows a tick.
-
-        Args:
-            pieces: A motion that ends at rest.
-            at: Its first tick; None for the next possible one.
-            delay: Ticks from now to that one, at least.
-
-        Returns:
-            Its first tick, and why it is not played; empty if it is.
-        """
+        """Replaces what follows a tick by a motion to rest: its first tick, and why it is not played."""
         if np.abs(sample(pieces, pieces.knots[-1:]).v).max() > REST_SPEED:
             return 0, "the motion does not end at rest"
         with self._lock:

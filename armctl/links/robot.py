@@ -181,11 +181,9 @@ class Robot(Commands):
             self._unlock()
 
     def __enter__(self) -> Robot:
-        """The robot itself."""
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Closes."""
         self.close()
 
     def run(self, trajectory: Trajectory, dwell: float = 0.0) -> Log:
@@ -309,7 +307,6 @@ class _OwnServo:
         self.name = name
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """Never called."""
         raise LinkError("the robot's own servo computes its torques")
 
 

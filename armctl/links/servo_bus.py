@@ -21,12 +21,7 @@ _TRIES = 3  # of a request: the bus of a busy computer loses an answer now and t
 
 
 class ServoBus:
-    """An open serial port with servos on it.
-
-    Raises:
-        LinkError: By each method: the port cannot be opened or is gone, or a servo does not answer.
-        NotInstalledError: pyserial is missing.
-    """
+    """An open serial port with servos on it. LinkError if it cannot be opened or is gone, or a servo does not answer."""
 
     def __init__(self, port: str):
         try:
@@ -40,7 +35,6 @@ class ServoBus:
             raise LinkError(f"{port}: cannot be opened: {error.strerror or error}") from None
 
     def read(self, servo: int, address: int, size: int) -> int:
-        """A register of `size` bytes."""
         answers = self._asked(servo, _READ, bytes([address, size]), [servo], size)
         return int.from_bytes(answers[0], "little")
 
@@ -61,7 +55,6 @@ class ServoBus:
             raise LinkError(f"{self.port}: {error.strerror or error}") from None
 
     def close(self) -> None:
-        """Closes the port."""
         self._line.close()
 
     def _asked(self, to: int, instruction: int, parameters: bytes, servos: list[int], size: int) -> list[bytes]:

@@ -13,7 +13,7 @@ import numpy as np
 from armctl.core.errors import InputError, LinkError
 from armctl.core.validation import Array, IntArray, vector
 from armctl.links.envelope import Envelope, envelope_of
-from armctl.links.link import Seen
+from armctl.links.link import Link, Seen
 from armctl.links.servo_bus import ServoBus
 from armctl.robot.arm import Arm, check_arm
 
@@ -45,7 +45,7 @@ class _Servo(NamedTuple):
     travel: int
 
 
-class SO101:
+class SO101(Link):
     """An SO-100 or SO-101 arm on a serial port. Needs the extra `so101`, and a calibration by LeRobot.
 
     It was tried with a simulated bus only, never with a robot. The servos protect nothing: they run to any goal at once. The
@@ -116,7 +116,6 @@ class SO101:
         self._told = self._angles(counts)
 
     def read(self) -> Seen:
-        """The arm now."""
         rows = self._present()
         speeds = [_signed(int(speed), 15) for speed in rows[:, 1]]
         v = np.array(speeds) * (2.0 * np.pi / _COUNTS)
@@ -130,17 +129,14 @@ class SO101:
         )
 
     def tip(self) -> Array | None:
-        """None: the arm does not tell."""
         return None
 
     def start(self) -> None:
-        """Begins a stream."""
         self._open_bus()
         self._due = time.monotonic()
         self._behind_since[:] = np.inf
 
     def wait(self) -> tuple[int, Seen]:
-        """The next tick."""
         self._open_bus()
         ticks = 1
         self._due += self.dt
@@ -155,7 +151,6 @@ class SO101:
         return ticks, seen
 
     def send(self, q: Array, last: bool) -> None:
-        """Sends the row of a tick."""
         q = vector("q", q, len(_JOINTS))
         self._write(np.rint((q - self._q_middle) * (_COUNTS / (2.0 * np.pi)) + self._middle).astype(np.int64))
         self._told = q
@@ -193,7 +188,6 @@ class SO101:
         return np.frombuffer(b"".join(data), "<u2").reshape(len(self._ids), -1).astype(np.int64)
 
     def _counts(self) -> IntArray:
-        """The present positions."""
         return self._present()[:, 0]
 
     def _write(self, counts: IntArray) -> None:

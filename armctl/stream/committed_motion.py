@@ -28,8 +28,6 @@ _WAY_SHARES = (0.5, 0.25, 0.12, 0.0)  # of the way to a place that is refused; s
 
 
 class Refused(NamedTuple):
-    """Why a motion is refused."""
-
     time: float  # s into the motion, when the reason occurs; infinite if that is not known
     reason: str  # what is in the way, for example
 
@@ -50,10 +48,7 @@ class CommittedMotion:
         self.obstacle = ""  # why the last motion that was wanted was refused; empty if it was not
 
     def plan(self, start: JointState, now: float, knots: Knots) -> Pieces | None:
-        """A motion from a state to the wanted ones, over times that begin at 0; None if none was found.
-
-        Where `obstacle` names what is in the way, the motion stops before it, or there is none.
-        """
+        """A motion through the wanted states, over times from 0, that stops before an `obstacle`; None if none was found."""
         self.obstacle = ""
         for solver in self._solvers:
             pieces = self._motion(solver, start, now, knots)
@@ -182,7 +177,6 @@ def _shorter(knots: Knots, start: JointState, count: int) -> Iterator[Knots]:
 
 
 def end_state(pieces: Pieces) -> JointState:
-    """The state in which a motion ends."""
     q, v, a = np.array(basis(float(pieces.knots[-1] - pieces.knots[-2]))) @ pieces.coefficients[-1]
     return JointState(q, v, a)
 

@@ -43,13 +43,7 @@ class Page:
     """Arms on a web page, of which one at a time is commanded, in one of several scenes."""
 
     def __init__(self, arms: Sequence[Arm], scene: WebScene, controller: str = "computed-torque", scenes: Scenes | None = None):
-        """Puts arms and their controls on a page; `serve` then keeps it up to date.
-
-        Args:
-            arms: Arms of one model; the first is commanded first.
-            scenes: Functions that load the arms in a scene, by the scene's name; the arms are in the first one. Visitors
-                choose among several.
-        """
+        """Puts arms of one model, and their controls, on a page; visitors choose among `scenes`."""
         self.scene = scene
         self.url = scene.url
         self.port = scene.port
@@ -84,11 +78,7 @@ class Page:
         return self._controls.shown.target.is_held
 
     def serve(self, *, demonstrated: bool = False) -> None:
-        """Keeps the page up to date until `close`. The arm moves shortly after the first client has connected.
-
-        Args:
-            demonstrated: Whether the target then moves by itself until somebody touches it.
-        """
+        """Keeps the page up to date until `close`. The target moves by itself if `demonstrated`, until somebody touches it."""
         demonstration = Demonstration(self.session) if demonstrated else None
         self._controls.start()
         self._starter.start()

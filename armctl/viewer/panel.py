@@ -95,7 +95,6 @@ class Panel:
                 slider.value = round(float(angle), 3)
 
     def close(self) -> None:
-        """Ends the panel's threads."""
         self._payload_worker.close()
         self._reachability.close()
         self.pictures.close()

@@ -49,7 +49,6 @@ class PicturePanel:
     """Two buttons. The server draws in one thread, from the view of the requesting browser, and writes no file."""
 
     def __init__(self, server: viser.ViserServer, session: RealTimeSession):
-        """Adds the buttons to a server's page."""
         self._server = server
         self._session = session
         self._worker = LatestWorker("armctl pictures")
@@ -61,7 +60,6 @@ class PicturePanel:
         self._record.on_click(self._start_or_stop)
 
     def close(self) -> None:
-        """Ends the thread that draws."""
         self._worker.close()
 
     def add(self, status: Status) -> None:

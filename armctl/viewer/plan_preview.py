@@ -54,8 +54,6 @@ class Ghost:
 
 
 class PlanPreview:
-    """Shows the planned path to the target."""
-
     def __init__(self, server: viser.ViserServer, arm: Arm, root: str):
         """Adds an invisible line to a server's scene, below the scene node `root`."""
         self._server = server

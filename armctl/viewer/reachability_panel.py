@@ -32,7 +32,6 @@ class ReachabilityPanel:
         self._switch.on_update(self._switched)
 
     def close(self) -> None:
-        """Ends the worker."""
         self._worker.close()
 
     async def _switched(self, event: object) -> None:

@@ -35,12 +35,6 @@ class RobotPage:
     """
 
     def __init__(self, robot: Robot, scene: WebScene):
-        """Puts a robot on a page; `serve` then moves it.
-
-        Args:
-            robot: Open; it stays open.
-            scene: The page.
-        """
         self.robot = robot
         self.scene = scene
         self._closing = threading.Event()
@@ -129,14 +123,7 @@ class RobotPage:
 
 
 def view_robot(robot: Robot, *, port: int = PORT, host: str | None = None, token: str | None = None) -> None:
-    """Serves a page with a robot, until Ctrl-C.
-
-    Args:
-        robot: Open; it stays open.
-        port: As for `view`.
-        host: As for `view`.
-        token: As for `view`.
-    """
+    """Serves a page with an open robot, which stays open, until Ctrl-C. Address and token are as for `view`."""
     scene = WebScene(port, host, token, title=f"{robot.link.name} - armctl")
     try:
         print(f"{robot.link.name} is at {scene.url}; Ctrl-C ends it", flush=True)

@@ -19,12 +19,7 @@ class SceneControls:
     """The controls of all arms, of which one at a time is commanded; the brakes hold the others where they are."""
 
     def __init__(self, sessions: Sequence[RealTimeSession], scene: WebScene, root: str, folder: str = ""):
-        """Adds the controls to a page. All sessions stand by.
-
-        Args:
-            sessions: A session for each arm; the first is commanded first.
-            folder: Label of a folder of the panel for the controls; without one, they cannot be removed from the panel.
-        """
+        """Adds the controls of sessions, which stand by; without a folder of the panel, they cannot be removed from it."""
         gui = scene.server.gui
         self._event_loop = scene.server.get_event_loop()
         self._closed = False
@@ -38,7 +33,6 @@ class SceneControls:
         self.shown = self.arms[sessions[0].arm.tip]
 
     def start(self) -> None:
-        """Starts the sessions, which go on standing by."""
         for controls in self.arms.values():
             controls.session.start()
 

@@ -32,11 +32,7 @@ _SHIFT_BUTTONS = ("-x", "+x", "-y", "+y", "-z", "+z")
 
 
 class TargetControls:
-    """Everything on the page that moves the target, and back.
-
-    The callbacks are coroutines: viser runs them at once and in order. The values that they read have passed the message
-    filter.
-    """
+    """Everything on the page that moves the target, and back; as for `Panel`, callbacks are coroutines."""
 
     def __init__(self, server: viser.ViserServer, session: RealTimeSession, root: str):
         """Adds the handles below the scene node `root`; `add_fields` adds the fields to the panel."""
@@ -120,7 +116,6 @@ class TargetControls:
             _show(self._rpy, status.target.rpy)
 
     async def _dragged(self, event: viser.TransformControlsEvent) -> None:
-        """The handles were dragged."""
         if self._held_by is None:
             self._undo.append(self._session.status.target)
         self._held_by = None if event.phase == "end" else event.client_id

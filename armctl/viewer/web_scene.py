@@ -92,15 +92,7 @@ class WebScene:
         title: str = "armctl",
         in_notebook: bool = False,
     ):
-        """Serves an empty page at once: the browser opens while an arm is loaded.
-
-        Args:
-            port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
-            host: Address of this machine at which other machines reach the page; None for this machine alone.
-            token: The token that visitors need; None if no token is needed.
-            allowed_hosts: More names of this machine that a request may carry in its Host header.
-            in_notebook: Whether a notebook of this machine may show the page in a frame.
-        """
+        """Serves an empty page at once: the browser opens while an arm is loaded. The arguments are those of `view`."""
         if not 0 <= port <= _MAX_PORT:
             raise InputError(f"port: expected a number in [0, {_MAX_PORT}], got {port}")
         if token is not None:
@@ -143,11 +135,7 @@ class WebScene:
         return bool(screen) and webbrowser.open(self._root + self._access.one_time_query())
 
     def set(self, arm: Arm, others: Sequence[Arm] = (), *, with_marker: bool = True) -> None:
-        """Puts an arm on the page, at home, in place of the one that is there; the first view shows the others, too.
-
-        Args:
-            with_marker: Whether the model's own target marker is drawn.
-        """
+        """Puts an arm at home on the page in place of the one there; the first view shows the others, too."""
         import mjviser
 
         target = find_target(arm.model)
@@ -226,7 +214,6 @@ class WebScene:
             self._drawn = None
 
     def draw(self) -> None:
-        """Sends the latest state to the clients."""
         latest = self._latest
         self._latest = None
         if latest is None or (self._drawn is not None and latest.is_close(self._drawn)):
@@ -288,10 +275,7 @@ def _shown_host(host: str | None) -> str:
 
 
 def _add_background_and_lamps(scene: viser.SceneApi) -> None:
-    """A sky with enough contrast to white and to black arms, and lamps on all sides.
-
-    There are no shadows and no reflections: a browser without a graphics card would draw three pictures a second.
-    """
+    """A sky that contrasts with all arms, and lamps. Shadows would be too slow for a browser without graphics card."""
     top = np.array(_SKY_TOP_RGB)
     bottom = np.array(_SKY_BOTTOM_RGB)
     share = np.linspace(0.0, 1.0, _SKY_HEIGHT_PX)[:, None, None]
