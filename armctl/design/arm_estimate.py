@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, as_array, vector
+from armctl.core.verdict import Verdict
 from armctl.design.identified_model import IdentifiedArm, consistent_model
 from armctl.design.regressor import FrictionShape
 from armctl.robot.arm import Arm, with_model
@@ -22,7 +23,7 @@ _MANY_NAMES = 3  # more names are counted in a sentence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Validation:
+class Validation(Verdict):
     """Measured and predicted torques on the part of a recording that the fit did not use.
 
     Attributes:
@@ -46,9 +47,6 @@ class Validation:
     rms: Array
     model_rms: Array
     relative: Array
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         known = ", ".join(f"{100 * share:.1f}" for share in self.relative)
@@ -117,9 +115,6 @@ class ArmEstimate(IdentifiedArm):
     findings: tuple[str, ...]
     validation: Validation
 
-    def __bool__(self) -> bool:
-        return self.ok
-
     def __str__(self) -> str:
         lines = [f"{self.arm.name}: " + ("identified" if self.ok else f"not identified: {self.reason}")]
         lines.append(
@@ -176,24 +171,7 @@ class ArmEstimate(IdentifiedArm):
         torques = [known.inverse_dynamics(*state) + self._dry_friction(state[1]) for state in zip(*states, strict=True)]
         return np.reshape(torques, shape)
 
-    def applied_to(self, arm: Arm) -> Arm:
-        """The arm with the identified inertia, rotor inertia and friction, for a controller.
-
-        `inverse_dynamics` of the result contains the identified viscous friction, and leaves out Coulomb friction: that is
-        MuJoCo's `frictionloss` of the result, which controllers compensate. Use `torque` for the torque of a motion with all
-        friction. Breakaway friction and torque offsets have no place in a MuJoCo model and are left out; `torque` contains
-        breakaway friction.
-
-        Args:
-            arm: The arm that the recording is of.
-
-        Returns:
-            The arm. If a link consists of several bodies, all of them change alike.
-
-        Raises:
-            InputError: Nothing was identified, the arm has other joints, or a link is not physically consistent.
-        """
-        self._check(arm)
+    def _identified(self, arm: Arm) -> Arm:
         if not self.consistent.all():
             wrong = [name for name, fits in zip(self.arm.joint_names, self.consistent, strict=True) if not fits]
             raise InputError(f"estimate: no body can have the inertia behind {', '.join(wrong):.120}; use consistent=True")
@@ -212,19 +190,14 @@ class ArmEstimate(IdentifiedArm):
     def to_dict(self) -> dict[str, object]:
         """The figures as plain values for JSON."""
         validation = self.validation
+        parts = ("inertia", "consistent", "rotor_inertia", "viscous_friction", "coulomb_friction", "breakaway", "torque_offset")
         return {
             "ok": self.ok,
             "reason": self.reason,
             "robot": self.arm.name,
             "joints": list(self.arm.joint_names),
             "friction": self.friction,
-            "inertia": self.inertia.tolist(),
-            "consistent": self.consistent.tolist(),
-            "rotor_inertia": self.rotor_inertia.tolist(),
-            "viscous_friction": self.viscous_friction.tolist(),
-            "coulomb_friction": self.coulomb_friction.tolist(),
-            "breakaway": self.breakaway.tolist(),
-            "torque_offset": self.torque_offset.tolist(),
+            **{part: getattr(self, part).tolist() for part in parts},
             "delay_s": self.delay,
             "cutoff_hz": self.cutoff,
             "condition_number": self.condition_number,

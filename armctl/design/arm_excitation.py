@@ -13,7 +13,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.collision.clearance import clearance_of
 from armctl.core.errors import ArmctlWarning, LimitError, PlanError
 from armctl.core.validation import Array, IntArray
-from armctl.design.regressor import ArmRegressor, FrictionShape, pivoted_qr
+from armctl.design.regressor import ArmRegressor, FrictionShape, condition_number, pivoted_qr
 from armctl.motion.move_through import move_through
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
@@ -207,9 +207,4 @@ class _Scorer:
         spread = np.linalg.solve(factor, self._targets.reshape(-1, W.shape[1]).T)
         variance = (spread**2).sum(axis=0).reshape(-1, len(self._noise)).mean(axis=0)
         uncertainty = float(np.log(variance).mean())
-        base = W[:, self._base]
-        lengths = np.linalg.norm(base, axis=0)
-        if not (lengths > 0).all():
-            return _Score(uncertainty, float("inf"))
-        singular = np.linalg.svd(base / lengths, compute_uv=False)
-        return _Score(uncertainty, float(singular[0] / max(singular[-1], np.finfo(float).tiny)))
+        return _Score(uncertainty, condition_number(W[:, self._base]))

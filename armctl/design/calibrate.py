@@ -85,9 +85,6 @@ class GeometryEstimate(IdentifiedArm):
     sensor: Pose | None
     marker: Pose | None
 
-    def __bool__(self) -> bool:
-        return self.ok
-
     def __str__(self) -> str:
         lines = [f"{self.arm.name}: " + ("calibrated" if self.ok else f"not calibrated: {self.reason}")]
         lines.append(
@@ -99,17 +96,9 @@ class GeometryEstimate(IdentifiedArm):
         lines += self.inseparable
         return "\n".join(lines)
 
-    def applied_to(self, arm: Arm) -> Arm:
-        """The arm with the calibrated base, joints and tool; the frames of sensor and marker are no part of it.
+    _WHAT = "calibrated"
 
-        Args:
-            arm: The arm that was measured.
-
-        Raises:
-            InputError: Nothing was calibrated, or the arm has other joints.
-            ModelError: A joint of the arm follows another one.
-        """
-        self._check(arm, "calibrated")
+    def _identified(self, arm: Arm) -> Arm:
         chain = KinematicChain(arm)
         by_name = {parameter.name: parameter for parameter in chain.parameters}
         return chain.corrected([by_name[name] for name in self.names], self.values)

@@ -54,9 +54,8 @@ class LawFit(NamedTuple):
 def speeds_of_torques(law: DryFriction | None, dynamics: Dynamics, log: Log, q: Array, v: Array, a: Array) -> Speeds:
     """The speeds at which each kind of torque acts, from filtered velocities and accelerations.
 
-    MuJoCo's step takes Coriolis torques at the velocity of the step before, damping at the end of the step, and dry friction at
-    a velocity that the acceleration advances (`DryFriction`). A real arm moves continuously. Dry friction follows a velocity
-    so fast that a joint that sticks for a short time is seen to stick.
+    MuJoCo's step takes Coriolis torques at the velocity before, damping at the end, and dry friction at a velocity that the
+    acceleration advances (`DryFriction`): here a fast one, in which short stops show. A real arm moves continuously.
     """
     fast = max(choose_cutoff(log.q, log.dt), velocity_cutoff(log.q, log.dt, _VELOCITY_NOISE))
     dry = derivatives(low_pass(log.q, fast, log.dt), log.dt)[0]

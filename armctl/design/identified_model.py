@@ -13,6 +13,7 @@ import pinocchio as pin
 from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, shown
+from armctl.core.verdict import Verdict
 from armctl.design.pseudo_inertia import inertial_parameters, pseudo_inertia, regularized, upper_factor
 from armctl.loading.catalog import locate
 from armctl.mjmodel.edit import set_body_inertia
@@ -24,17 +25,34 @@ _MIN_LENGTH_M = 1e-6
 _NO_LIMIT = 1e6  # URDF requires numbers
 
 
-class IdentifiedArm:
+class IdentifiedArm(Verdict):
     """What was identified of an arm, as a model, MJCF and URDF."""
 
     __slots__ = ()
-    ok: bool
+    _WHAT = "identified"
     reason: str
     arm: Arm
 
     def applied_to(self, arm: Arm) -> Arm:
-        """The arm with what was identified."""
-        raise NotImplementedError
+        """The arm with what was identified, for a controller; its motors stay torque motors.
+
+        `inverse_dynamics` of the result contains identified viscous friction, and leaves out Coulomb friction: that is MuJoCo's
+        `frictionloss` of the result, which controllers compensate. What has no place in a MuJoCo model is left out: breakaway
+        friction, offsets, and the frames of sensor and marker.
+
+        Args:
+            arm: The arm that was measured. If a link consists of several bodies, all of them change alike.
+
+        Raises:
+            InputError: Nothing was identified, the arm has other joints, or a link is not physically consistent.
+            ModelError: For a geometry: a joint of the arm follows another one.
+        """
+        check_arm(arm)
+        if not self.ok:
+            raise InputError(f"estimate: {self.arm.name:.40}: not {self._WHAT}: {self.reason:.250}")
+        if arm.joint_names != self.arm.joint_names:
+            raise InputError(f"arm: its joints are {shown(arm.joint_names)}, {self._WHAT} are {shown(self.arm.joint_names)}")
+        return self._identified(arm)
 
     def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
         """Writes the robot's MJCF with what was identified; all else stays as it is.
@@ -78,13 +96,8 @@ class IdentifiedArm:
     def _complete(self, spec: mujoco.MjSpec, identified: Arm) -> None:
         """Writes more than inertia and friction into the specification of the arm."""
 
-    def _check(self, arm: Arm, identified: str = "identified") -> None:
-        """Raises InputError if nothing was identified of an arm with these joints."""
-        check_arm(arm)
-        if not self.ok:
-            raise InputError(f"estimate: {self.arm.name:.40}: not {identified}: {self.reason:.250}")
-        if arm.joint_names != self.arm.joint_names:
-            raise InputError(f"arm: its joints are {shown(arm.joint_names)}, {identified} are {shown(self.arm.joint_names)}")
+    def _identified(self, arm: Arm) -> Arm:
+        raise NotImplementedError
 
 
 def consistent_model(arm: Arm, model: mujoco.MjModel, inertia: Array) -> None:

@@ -13,7 +13,7 @@ from armctl.core.validation import Array, BoolArray, IntArray, choice, flag, fro
 from armctl.design.arm_estimate import ArmEstimate, Validation, counted
 from armctl.design.parameter_fit import ParameterFit
 from armctl.design.pseudo_inertia import PARAMETERS, is_consistent
-from armctl.design.regressor import ArmRegressor, pivoted_qr
+from armctl.design.regressor import ArmRegressor, condition_number, pivoted_qr
 from armctl.robot.arm import Arm, check_arm
 
 FRICTION_MODELS = ("none", "coulomb+viscous", "stribeck")
@@ -121,7 +121,7 @@ def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
     hidden = _hidden(base, base_covariance)
     names = np.array(regressor.names)[base.leading]
     unexcited = tuple(str(name) for name in names[hidden])
-    condition = _condition_number(W[:, base.leading[fit.kept[base.leading]]])
+    condition = condition_number(W[:, base.leading[fit.kept[base.leading]]])
     reason = _reason(fit, unexcited, condition, validation)
     scale = regressor.prior[base.leading]
     links = fit.x[: PARAMETERS * arm.n].reshape(arm.n, PARAMETERS)
@@ -194,20 +194,11 @@ def _hidden(base: _Base, covariance: Array) -> BoolArray:
     return hidden
 
 
-def _condition_number(W: Array) -> float:
-    """The condition number with columns of equal length; infinite if a column is zero."""
-    lengths = np.linalg.norm(W, axis=0)
-    if not (lengths > 0).all():
-        return float("inf")
-    singular = np.linalg.svd(W / lengths, compute_uv=False)
-    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
-
-
 def _validated(fit: ParameterFit) -> Validation:
     rows = fit.held_out
     arm = fit.regressor.arm
     predicted = fit.predicted(rows)
-    by_model = fit.start_predicted(rows)
+    by_model = rows.start
     if len(rows) < _MIN_HELD_OUT_ROWS:
         rms = np.full(arm.n, np.nan)
         model_rms = rms
@@ -232,7 +223,6 @@ def _validated(fit: ParameterFit) -> Validation:
 
 
 def _failure(fit: ParameterFit, rms: Array, model_rms: Array, relative: Array) -> str:
-    """Why held-out torques are not predicted; empty if they are."""
     arm = fit.regressor.arm
     moving = np.abs(fit.held_out.v).max(axis=0) > _MIN_SPEED
     if not moving.any():
@@ -250,7 +240,6 @@ def _failure(fit: ParameterFit, rms: Array, model_rms: Array, relative: Array) -
 
 
 def _reason(fit: ParameterFit, unexcited: tuple[str, ...], condition: float, validation: Validation) -> str:
-    """What speaks most against the estimate; empty if nothing does."""
     arm = fit.regressor.arm
     training = fit.training
     if len(training) < _MIN_ROWS:

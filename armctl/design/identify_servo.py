@@ -68,9 +68,6 @@ class ServoEstimate(IdentifiedArm):
     judge_rms: Array
     judge_file_rms: Array
 
-    def __bool__(self) -> bool:
-        return self.ok
-
     def __str__(self) -> str:
         found = self.parameters
         lines = [f"{self.arm.name}: " + ("identified" if self.ok else f"not identified: {self.reason}")]
@@ -101,16 +98,7 @@ class ServoEstimate(IdentifiedArm):
         _check(self.arm, "recording", recording)
         return ServoSimulation(self.arm, recording.dt).positions([self.parameters], recording)[0]
 
-    def applied_to(self, arm: Arm) -> Arm:
-        """The arm with the identified rotor inertia and Coulomb friction, for a controller; its motors stay torque motors.
-
-        Args:
-            arm: The arm that the recording is of.
-
-        Raises:
-            InputError: Nothing was identified, or the arm has other joints.
-        """
-        self._check(arm)
+    def _identified(self, arm: Arm) -> Arm:
         model = copy.copy(arm.model)
         set_rotors_and_friction(model, arm, self.parameters)
         return with_model(arm, model)
@@ -236,9 +224,6 @@ class _Fit:
     The armature is a logarithm over the file's value; stiffness and damping are logarithms of their ratio to the armature over
     that of the file, and dry friction is in proportion to it. So an armature that is not shown is one coordinate, along which
     finite differences are exact: sums of large columns that cancel would not be. Offsets are rad, the delay sampling periods.
-
-    Attributes:
-        free: (p,) False for those that keep the file's value.
     """
 
     def __init__(self, arm: Arm, log: Log, file: ServoParameters):
@@ -259,7 +244,7 @@ class _Fit:
         self._high = np.full(5 * n + 1, np.log(_RANGE))
         self._high[3 * n :] = np.concatenate([np.full(n, np.inf), np.full(n, 1.0), [_MAX_DELAY_S / log.dt]])
         still = np.ptp(log.q, axis=0) < _MIN_TRAVEL_RAD
-        self.free = ~np.concatenate([np.tile(still, 4), np.zeros(n + 1, bool)])
+        self.free = ~np.concatenate([np.tile(still, 4), np.zeros(n + 1, bool)])  # (p,) False if it keeps the file's value
         self.unseen = ~self.free  # (p,) True for those that the recording does not show
         self._alone = np.zeros(len(self.z))
         self._J = np.zeros((0, 0))

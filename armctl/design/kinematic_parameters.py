@@ -46,12 +46,9 @@ class Frame:
 
 
 class KinematicChain:
-    """Sensor, base, joints, tool and marker: the pose of the marker that the sensor measures.
+    """Sensor, base, joints, tool and marker: the pose of the marker that the sensor measures, and errors of all frames.
 
     With a sensor on the hand, the chain leads from the marker in the world to the sensor, and the measured pose is the inverse.
-
-    Attributes:
-        parameters: All errors that the frames can have; those of the sensor and the marker start at `frames`.
     """
 
     def __init__(self, arm: Arm, on_hand: bool = False):
@@ -149,7 +146,6 @@ class KinematicChain:
         self.frames[-1] = Frame(last.position, last.rotation)
 
     def frame_pose(self, number: int, parameters: Sequence[Parameter], x: Array) -> Pose:
-        """A frame of the chain in the one before it, with errors."""
         frame = self.frames[number]
         shift, turn = _errors(number, parameters, x)
         return Pose.from_rotation(frame.position + shift, frame.rotation @ _exp(turn))

@@ -279,11 +279,7 @@ def _jittered(arm: LinearArm, jitter: int) -> LinearArm:
 
 
 def _sensed(arm: LinearArm, plant: Plant, sensors: SensorTiming) -> tuple[StateSpace, int]:
-    """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late.
-
-    What is measured at intervals is the mean of the measurements of all ages that it gets, as a held value is at frequencies
-    far below that of the interval.
-    """
+    """An arm with its sensors, and how many states they add. Held measurements are the mean of all ages that they get."""
     size = len(arm.A)
     n = arm.B.shape[1]
     signals = len(arm.C)

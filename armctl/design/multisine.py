@@ -42,9 +42,8 @@ def multisine_excitation(
 ) -> Excitation:
     """A motion of joints around a configuration in odd harmonics, as large as the limits permit and proved free.
 
-    All joints drift at the same speed through the configuration, again and again, and oscillate at the same frequencies. From
-    period to period their phases turn such that the joints are orthogonal to each other; see Pintelon and Schoukens,
-    System Identification: A Frequency Domain Approach (2012), 2.7 and 3.7.
+    Joints drift through it again and again. Their phases turn from period to period, so that they are orthogonal: Pintelon and
+    Schoukens, System Identification: A Frequency Domain Approach (2012), 2.7 and 3.7.
     """
     q = arm.limits.clamp(arm.home) if start is None else start
     joints = tuple(range(arm.n)) if joint is None else (joint_index(arm.joint_names, joint),)

@@ -55,13 +55,7 @@ _DROPPED_PRIOR = 1e-4  # factor on the standard deviation of the prior
 
 
 class ParameterFit:
-    """A fit to the first rows of a recording; the others are held out.
-
-    Attributes:
-        torque_noise: (n,) N m, RMS of the white noise in the filtered torques.
-        prior: (p,) standard deviations before any data; those of parameters that are not kept are small.
-        kept: (p,) False for dry friction and offsets that stay at the model's values.
-    """
+    """A fit to the first rows of a recording; the others are held out."""
 
     def __init__(self, regressor: ArmRegressor, log: Log, holdout: float, consistent: bool):
         self.regressor = regressor
@@ -74,7 +68,7 @@ class ParameterFit:
         q = low_pass(log.q, self.cutoff, log.dt)
         v, a = derivatives(q, log.dt)
         white = np.diff(log.tau, axis=0).std(axis=0) / np.sqrt(2)
-        self.torque_noise = white * np.sqrt(min(1.0, 2 * self.cutoff * log.dt))
+        self.torque_noise = white * np.sqrt(min(1.0, 2 * self.cutoff * log.dt))  # (n,) N m, RMS of the filtered white noise
         self._tau = low_pass(log.tau, self.cutoff, log.dt)
         self._stride = max(1, int(1 / (_REGRESSOR_SAMPLES_PER_PERIOD * self.cutoff * log.dt)))
         self._q = q[:: self._stride]
@@ -99,8 +93,8 @@ class ParameterFit:
         self._model = regressor.model_torques(self._q, start, self._a)
         self._model += regressor.dynamics.damping * (self._v_end - start)
         self.delay = 0.0  # s, by which torques were recorded later than positions
-        self.prior = regressor.prior.copy()
-        self.kept = np.ones(regressor.layout.size, bool)
+        self.prior = regressor.prior.copy()  # (p,) deviations before any data; small for parameters that are not kept
+        self.kept = np.ones(regressor.layout.size, bool)  # (p,) False for friction and offsets that stay as in the model
         self.noise = 0.02 * self._scale  # (n,) N m, RMS of the residuals of the fit
         self.inflation = np.ones(n)  # (n,) factors by which correlated residuals increase the variance of an estimate
         for _ in range(_ROUNDS):
@@ -173,10 +167,6 @@ class ParameterFit:
     def predicted(self, rows: Rows) -> Array:
         """(K, n) N m, by the fitted parameters."""
         return rows.model + rows.W @ (self.x - self.regressor.model_values)
-
-    def start_predicted(self, rows: Rows) -> Array:
-        """(K, n) N m, by the arm's own model, dry friction included."""
-        return rows.start
 
     def weighted(self, rows: Rows) -> Array:
         """(K n, p): the regressor in units of the noise of independent rows, for each standard deviation of the prior."""
@@ -380,7 +370,7 @@ class ParameterFit:
     def _dry_columns(self, speeds: Array, shape: FrictionShape) -> Array:
         """(T, k, 1 or 2): the columns of dry friction at speeds, filtered like the torques."""
         dry = self.regressor.dry_friction(speeds, shape)
-        once = low_pass(dry.reshape(len(dry), -1), self.cutoff, self._dt)[:: self._stride]
+        once = self._filtered(dry.reshape(len(dry), -1))
         return low_pass(once, self.cutoff, self._dt * self._stride).reshape(-1, *dry.shape[1:])
 
     def _sliding_speed(self, A: Array, torques: Array, slides: list[BoolArray]) -> float:

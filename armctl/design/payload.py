@@ -10,6 +10,7 @@ import numpy as np
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance
+from armctl.core.verdict import Verdict
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
@@ -31,7 +32,7 @@ _MIN_INDEPENDENT_SHARE = 1e-6  # of the mass's regressor that is not round-off
 
 
 @dataclass(frozen=True, eq=False)
-class PayloadEstimate:
+class PayloadEstimate(Verdict):
     """A payload, and friction that the model does not have, identified from one run. True if the run determines them.
 
     Attributes:
@@ -59,9 +60,6 @@ class PayloadEstimate:
     viscous_friction: Array
     viscous_error: Array
     findings: tuple[str, ...] = ()
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if not self.ok:
@@ -280,7 +278,6 @@ def _estimate(arm: Arm, reason: str, theta: Array, error: Array) -> PayloadEstim
 
 
 def _findings(arm: Arm, frictions: tuple[Array, Array], errors: tuple[Array, Array]) -> tuple[str, ...]:
-    """Joints whose friction in the model is certainly too high."""
     kinds = (("frictionloss", "N m", "N"), ("damping", "N m s/rad", "N s/m"))
     found = []
     for (what, turning, sliding), friction, error in zip(kinds, frictions, errors, strict=True):

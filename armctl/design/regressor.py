@@ -174,7 +174,6 @@ class ArmRegressor:
         return values
 
     def _prior(self) -> Array:
-        """Standard deviations of all parameters before any data."""
         layout = self.layout
         links = self.model_values[: PARAMETERS * layout.n].reshape(layout.n, PARAMETERS)
         least = _MIN_MASS_SHARE * max(float(links[:, 0].sum()), 1e-6)
@@ -212,6 +211,15 @@ def pivoted_qr(W: Array) -> tuple[Array, IntArray, int]:
     R, order = factors
     diagonal = np.abs(np.diag(R))
     return R, np.asarray(order, dtype=np.int64), int((diagonal > _RANK_TOLERANCE * diagonal[0]).sum())
+
+
+def condition_number(W: Array) -> float:
+    """The condition number with columns of equal length; infinite if a column is zero."""
+    lengths = np.linalg.norm(W, axis=0)
+    if not (lengths > 0).all():
+        return float("inf")
+    singular = np.linalg.svd(W / lengths, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
 def _lifted_shares(arm: Arm) -> Array:

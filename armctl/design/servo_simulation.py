@@ -93,7 +93,6 @@ class ServoSimulation:
         return model
 
     def _start(self, log: Log, parameters: ServoParameters) -> Array:
-        """The state at rest where the recording begins."""
         kind = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = self.arm.qpos(log.q[0] - parameters.offset)
@@ -102,10 +101,7 @@ class ServoSimulation:
         return state
 
     def _controls(self, log: Log, delay: float) -> Array:
-        """(steps, nctrl), commands that are held from sample to sample, late by a delay; steps have the mean over them.
-
-        A mean changes continuously with the delay, so that least squares can find it.
-        """
+        """(steps, nctrl), delayed commands: means over steps, which change continuously with the delay, as a fit needs."""
         controls = np.tile(self.arm.home_ctrl, ((len(log) - 1) * self._steps, 1))
         before = delay + log.dt
         times = np.concatenate([[-before], np.arange(len(log)) * log.dt])

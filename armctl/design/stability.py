@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.validation import Array, IntArray
+from armctl.core.verdict import Verdict
 from armctl.design.state_space import ComplexArray, StateSpace
 
 _MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
@@ -24,7 +25,7 @@ _GAIN_STEPS = 60  # between 1 and the largest gain, geometric
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoopMargins:
+class LoopMargins(Verdict):
     """Margins of the loop of an arm and a controller at one configuration. True if the closed loop is stable.
 
     Delay, gain and phase change in all joints at once. An unstable loop has margins of zero and an infinite peak sensitivity.
@@ -46,9 +47,6 @@ class LoopMargins:
     peak_sensitivity: float
     spectral_radius: float
     reason: str
-
-    def __bool__(self) -> bool:
-        return self.ok
 
 
 def frequency_grid(dt: float, points: int = _GRID_POINTS) -> Array:

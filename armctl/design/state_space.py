@@ -58,11 +58,8 @@ class StateSpace:
 def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, continuous: bool) -> StateSpace:
     """The linear model of a controller that holds an arm at q: from measured positions and velocities (2n) to torques (n).
 
-    Positions and velocities of deflections follow, if the controller needs them.
-
-    The controller is called like in a simulation, on a copy of it, so its memory need not be known: the model follows from the
-    responses to an impulse in each measured signal, after Ho and Kalman (1966) in the balanced form of Kung (1978). At last the
-    model is compared with the controller on a random signal.
+    Those of deflections follow, if it needs them. The model follows from responses of a copy to impulses, after
+    Ho and Kalman (1966) in the balanced form of Kung (1978), and is compared with the controller on a random signal.
     """
     if has_compiled_law(controller, arm.n) and not controller.needs_wrench:
         law = controller.make_law(dt, continuous)
@@ -86,7 +83,6 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
 
 
 def _static(run: _Run, n: int) -> StateSpace:
-    """The model of a law without memory."""
     sizes = np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], n)
     difference = run(np.diag(sizes)) - run(-np.diag(sizes))
     nothing = np.zeros((0, 0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -15,6 +15,7 @@ from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.observer_gains import observer_gains
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, IntArray, frozen, number, shown
+from armctl.core.verdict import Verdict
 from armctl.design.frequency_response import standstill
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop, coarse_margins_with, coarse_plant
@@ -68,7 +69,7 @@ class LoopFigures:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tuning:
+class Tuning(Verdict):
     """A tuned controller and what limits it. True if it satisfies the bounds.
 
     Attributes:
@@ -90,9 +91,6 @@ class Tuning:
     after: LoopFigures
     reason: str
 
-    def __bool__(self) -> bool:
-        return self.ok
-
     def __str__(self) -> str:
         lines = [f"default: {self.before}"]
         if not self.ok:
@@ -104,12 +102,14 @@ class Tuning:
 
     def to_dict(self) -> dict[str, object]:
         """The figures as plain values for JSON."""
-        figures = {
-            name: {field: getattr(each, field) for field in ("delay_margin", "peak_sensitivity", "chatter", "compliance")}
-            for name, each in (("before", self.before), ("after", self.after))
+        return {
+            "ok": self.ok,
+            "reason": self.reason,
+            "active": list(self.active),
+            "gains": {name: np.asarray(value).tolist() for name, value in self.gains.items()},
+            "before": asdict(self.before),
+            "after": asdict(self.after),
         }
-        gains = {name: np.asarray(value).tolist() for name, value in self.gains.items()}
-        return {"ok": self.ok, "reason": self.reason, "active": list(self.active), "gains": gains, **figures}
 
 
 def tune(
@@ -281,8 +281,6 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Case:
-    """A plant at a configuration, with its transfer function on the coarse grid."""
-
     linearizer: Linearizer
     loop: Loop
     transfer: ComplexArray
@@ -297,8 +295,6 @@ class _Case:
 
 
 class _Design:
-    """Gains within bounds at some configurations."""
-
     def __init__(self, linearizers: Sequence[Linearizer], configurations: Array, bounds: _Bounds):
         self._arm = linearizers[0].arm
         self._linearizers = {str(linearizer.plant): linearizer for linearizer in linearizers}
@@ -338,11 +334,7 @@ class _Design:
         return within
 
     def improved(self, family: _Family, x: Array, iterations: int) -> Array:
-        """The gains with the least displacement that sequential linear programming finds from gains within the bounds.
-
-        Each step minimizes the linearized displacement within linearized bounds and a trust region (Nocedal and Wright,
-        Numerical Optimization, 2006, 18.5 and 17.2).
-        """
+        """Least displacement by sequential linear programming: Nocedal and Wright, Numerical Optimization, 2006, 18.5, 17.2."""
         from scipy.optimize import linprog
 
         size = _FIRST_STEP

@@ -37,8 +37,6 @@ _STOPPED = "the arm was stopped on its path"
 
 @dataclass
 class _Stream:
-    """What the drive knows of an open stream."""
-
     before: Array  # (3, n) rad, the rows before `next`
     next: int = 0  # the tick after the rows that were sent
     moves: bool = False  # whether the motion goes on at that tick
@@ -118,7 +116,6 @@ class LinkDrive:
         return State(self._past[-1][1], self._v, float(self.data.time), self.dt, True)
 
     def tip_pose(self, arm: Arm) -> Pose:
-        """T_world_tip by the measured positions."""
         return arm.fk(self.state.q)
 
     def is_still(self, joints: slice) -> bool:
@@ -138,7 +135,6 @@ class LinkDrive:
         return rows
 
     def hold_reference(self, seconds: float) -> TickReference:
-        """A reference that stays where the last one ended."""
         still = np.zeros((max(1, round(seconds / self.dt)), self.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
@@ -277,7 +273,6 @@ class LinkDrive:
             self._watch()
 
     def _watch(self) -> None:
-        """Takes what the robot sent since the last time."""
         progress = self._host.poll()
         readings = progress.readings
         self.lost = progress.lost

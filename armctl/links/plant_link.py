@@ -18,7 +18,7 @@ from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, flag, instance, integer, vector
 from armctl.links.envelope import Envelope
 from armctl.links.link import Link, Seen
-from armctl.links.model_check import base_pose
+from armctl.links.link_check import base_pose
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.gripper.gripper import Gripper
 from armctl.sim.plant import Plant, read_plant

@@ -77,7 +77,6 @@ def _listen(connection: Connection, host: LinkHost, lease: float, calls: SimpleQ
 
 
 def _answer(connection: Connection, host: LinkHost, word: str, arguments: tuple[Any, ...]) -> None:
-    """Calls a method of the host and sends what it returns or raises."""
     try:
         answer = getattr(host, word)(*arguments)
     except ArmctlError as error:

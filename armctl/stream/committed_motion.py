@@ -39,6 +39,7 @@ class CommittedMotion:
         self._limits = arm.limits
         limits = arm.limits
         self._solvers = [ProfileSolver(limits.v_max, s * limits.a_max, s**2 * limits.j_max) for s in _SLOWER]
+        self._zero = [0.0] * arm.n
         self._q_min = (limits.q_min - POSITION_TOLERANCE).tolist()
         self._q_max = (limits.q_max + POSITION_TOLERANCE).tolist()
         self._dynamics = InverseDynamics(arm)
@@ -118,10 +119,6 @@ class CommittedMotion:
         state = _lists(state)
         profile = self._profile(solver, state, knots.rest) or self._inside(solver.stop(state))
         return None if profile is None else joined([*parts, profile.pieces(state)])
-
-    @property
-    def _zero(self) -> list[float]:
-        return [0.0] * len(self._q_min)
 
     def _profile(self, solver: ProfileSolver, start: JointState, goal: Array) -> Profile | None:
         """The fastest motion to rest at a place that stays inside the position limits; None if there is none."""

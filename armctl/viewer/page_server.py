@@ -112,8 +112,6 @@ class _UnsharedServer(viser.ViserServer):
 
 
 class PageServer:
-    """viser's server with the connections that it serves."""
-
     def __init__(self, server: viser.ViserServer, connections: _Connections, devices: HandDevices):
         """Use `start_server`."""
         self.viser = server  # viser's server
@@ -165,8 +163,6 @@ def start_server(listener: socket.socket, access: AccessControl, title: str) -> 
 
 def _options(messages: MessageFilter, connections: _Connections) -> dict[str, Any]:
     class FilteredConnection(ServerConnection):
-        """A connection whose receiver sees checked messages only."""
-
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             super().connection_made(transport)
             connections.add(self)
@@ -231,7 +227,6 @@ def _checked(process_request, access: AccessControl, title: str):
 
 
 def _styled(page: bytes, title: str, *, compressed: bool) -> bytes:
-    """viser's page with a title, a style and a script of its own."""
     plain = gzip.decompress(page) if compressed else page
     script = files("armctl.viewer").joinpath("devices.js").read_text(encoding="utf-8")
     head = f"<title>{html.escape(title)}</title><style>{_STYLE}</style><script>{script}</script>"

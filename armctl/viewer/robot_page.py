@@ -30,8 +30,7 @@ _MAX_DRAG_TURN = 0.5  # rad/s
 class RobotPage:
     """A robot on a page: as it measures itself, and as a ghost where it was told to be.
 
-    It moves only while a visitor holds a key, a button or a handle, and brakes when the visitor lets go or leaves, or when the
-    page is closed. One visitor at a time commands. Each motion is proved and checked as those of `Robot.streaming`.
+    It moves while one visitor holds a key, a button or a handle, and brakes when that ends. Each motion is proved and checked.
     """
 
     def __init__(self, robot: Robot, scene: WebScene):
@@ -64,11 +63,9 @@ class RobotPage:
                 self._reason = str(error)
 
     def close(self) -> None:
-        """Ends `serve`; the arm brakes."""
         self._closing.set()
 
     def _move(self) -> None:
-        """Moves the arm until the hand lets go, and then brakes."""
         self._reason = ""
         with self.robot.streaming() as run:
             while not self._closing.is_set() and not self._reason:

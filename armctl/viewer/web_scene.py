@@ -48,8 +48,6 @@ _log = logging.getLogger("armctl.viewer")
 
 
 class _Lamp(NamedTuple):
-    """A directional light that shines from `position` towards the origin."""
-
     position: tuple[float, float, float]
     intensity: float
 
@@ -68,14 +66,11 @@ class _View(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """What is drawn: positions of the model and of its mocap bodies."""
-
     qpos: Array
     mocap_pos: Array
     mocap_quat: Array
 
     def is_close(self, other: _Frame) -> bool:
-        """Whether no number differs visibly."""
         return all(np.abs(a - b).max(initial=0.0) < _MIN_MOTION for a, b in zip(self, other, strict=True))
 
 
@@ -180,7 +175,6 @@ class WebScene:
         return self._client_connected.wait(timeout)
 
     def close(self) -> None:
-        """Closes the page. It may be called twice."""
         if self._closing.is_set():
             return
         atexit.unregister(self.close)
