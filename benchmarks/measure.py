@@ -45,12 +45,12 @@ def main() -> None:
 
 def report(arms: dict[str, armctl.Arm], args: argparse.Namespace) -> None:
     known = args.out.read_text(encoding="utf-8") if args.out.exists() else ""
-    sections = {text.partition("\n")[0]: text for text in known.split("## ")[1:]}
+    sections = {text.partition("\n")[0]: text for text in known.split("# ")[1:]}
     for part in args.parts:
         title, text = PARTS[part](arms, args)
         sections[title] = f"{title}\n\n{text}\n\n"
         print(text, flush=True)
-    args.out.write_text("".join(f"## {text.rstrip()}\n\n" for text in sections.values()).rstrip() + "\n", encoding="utf-8")
+    args.out.write_text("".join(f"# {text.rstrip()}\n\n" for text in sections.values()).rstrip() + "\n", encoding="utf-8")
 
 
 def six_joints(folder: Path) -> armctl.Arm:

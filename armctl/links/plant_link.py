@@ -6,13 +6,13 @@ import os
 import time
 from collections import deque
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import ComputedTorque
+from armctl.core.atomic import file_path
 from armctl.core.errors import LinkError
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, flag, instance, integer, vector
@@ -84,12 +84,15 @@ class PlantLink(Link):
         self.sent = 0
         self._arm = arm
         self._lag = integer("lag", lag, 0)
+        for what, table, kind in (("lost", lost, int), ("faults", faults, str)):
+            if table is not None:
+                instance(what, table, Mapping, "give {row: what happens}")
+                for tick, event in table.items():
+                    instance(what, tick, int, "give {row: what happens}")
+                    instance(what, event, kind, "give {row: what happens}")
         self._lost = dict(lost or {})
         self._faults = dict(faults or {})
-        for what, table in (("lost", self._lost), ("faults", self._faults)):
-            for tick in table:
-                instance(what, tick, int, "give {row: what happens}")
-        self._record_path = None if record is None else Path(record)
+        self._record_path = None if record is None else file_path("record", record)
         self._record: BinaryIO | None = None
         self._stepper: Stepper | None = None
         self._fault = ""

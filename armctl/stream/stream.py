@@ -35,6 +35,7 @@ _AT_LIMIT = 0.999  # share of a limit
 _TICKS_PER_LIMIT_CHECK = 8  # a tick takes a third longer with a check
 _TWIST_STEP_S = 0.05  # between the rows into which a velocity of the tip is turned
 _TWIST_STEPS = 4
+_MAX_TWIST = 100.0  # m/s, rad/s: no arm is as fast
 # A joint that turns further for a smaller step of the target changes the posture of the arm.
 _POSTURE_CHANGE = 0.5  # rad (m)
 _SMALL_STEP_M = 0.05
@@ -260,8 +261,8 @@ class Stream:
         Raises:
             InputError: A wrong length or a number that is not finite; nothing changes.
         """
-        v = vector("linear", linear, 3)
-        w = vector("angular", angular, 3)
+        v = np.clip(vector("linear", linear, 3), -_MAX_TWIST, _MAX_TWIST)
+        w = np.clip(vector("angular", angular, 3), -_MAX_TWIST, _MAX_TWIST)
         q = self.setpoint.q
         pose = self._arm.fk(q)
         rows = []

@@ -69,6 +69,7 @@ def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothi
         "armctl/_core.pyi",
         "armctl/links/__init__.pyi",
         "armctl/py.typed",
+        "armctl/viewer/devices.js",
         extension,
     }
     assert "armctl/models/robot_arm_3dof.xml" in names
