@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import copy
-import os
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, as_array, shown, vector
-from armctl.design.identified_model import consistent_model, edited_spec, urdf_text
+from armctl.core.validation import Array, as_array, vector
+from armctl.core.verdict import Verdict
+from armctl.design.identified_model import IdentifiedArm, consistent_model
 from armctl.design.regressor import FrictionShape
-from armctl.robot.arm import Arm, check_arm
+from armctl.robot.arm import Arm, with_model
 from armctl.robot.passive_forces import set_dry_friction
-from armctl.robot.pinocchio_model import build_pinocchio_model
 
 # rad/s (m/s). Where dry friction acts fully below this speed, MuJoCo's law knows it better than filtered velocities do.
 _MIN_SHAPE_SPEED = 0.1
@@ -26,7 +23,7 @@ _MANY_NAMES = 3  # more names are counted in a sentence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Validation:
+class Validation(Verdict):
     """Measured and predicted torques on the part of a recording that the fit did not use.
 
     Attributes:
@@ -51,16 +48,13 @@ class Validation:
     model_rms: Array
     relative: Array
 
-    def __bool__(self) -> bool:
-        return self.ok
-
     def __str__(self) -> str:
         known = ", ".join(f"{100 * share:.1f}" for share in self.relative)
         return f"held-out torque error [{known}] % of its standard deviation" + (f"; {self.reason}" if self.reason else "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmEstimate:
+class ArmEstimate(IdentifiedArm):
     """The parameters of an arm, identified from a recording. True if the recording supports them.
 
     Single parameters of a link are partly without effect on any torque; those stay near the model's values. Base parameters are
@@ -121,9 +115,6 @@ class ArmEstimate:
     findings: tuple[str, ...]
     validation: Validation
 
-    def __bool__(self) -> bool:
-        return self.ok
-
     def __str__(self) -> str:
         lines = [f"{self.arm.name}: " + ("identified" if self.ok else f"not identified: {self.reason}")]
         lines.append(
@@ -180,96 +171,7 @@ class ArmEstimate:
         torques = [known.inverse_dynamics(*state) + self._dry_friction(state[1]) for state in zip(*states, strict=True)]
         return np.reshape(torques, shape)
 
-    def applied_to(self, arm: Arm) -> Arm:
-        """The arm with the identified inertia, rotor inertia and friction, for a controller.
-
-        `inverse_dynamics` of the result contains the identified viscous friction, and leaves out Coulomb friction: that is
-        MuJoCo's `frictionloss` of the result, which controllers compensate. Use `torque` for the torque of a motion with all
-        friction. Breakaway friction and torque offsets have no place in a MuJoCo model and are left out; `torque` contains
-        breakaway friction.
-
-        Args:
-            arm: The arm that the recording is of.
-
-        Returns:
-            The arm. If a link consists of several bodies, all of them change alike.
-
-        Raises:
-            InputError: Nothing was identified, the arm has other joints, or a link is not physically consistent.
-        """
-        model = self._model(arm)
-        body = build_pinocchio_model(
-            model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
-        )
-        return replace(arm, model=model, pinocchio_model=body)
-
-    def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
-        """Writes the robot's MJCF with the identified parameters; its own actuators and meshes stay as they are.
-
-        Args:
-            path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
-            source: The name or file that the arm was loaded from; the name of the arm if left out.
-
-        Raises:
-            InputError: As for `applied_to`, or the source is not that of the arm.
-            UnknownNameError: There is no robot of the name of the arm; give `source`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".xml",))
-        write_text(path, edited_spec(self.arm, self._model(self.arm), source).to_xml())
-        return path
-
-    def to_urdf(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the arm's chain as a URDF with the identified parameters: joints, limits, inertia and friction, no meshes.
-
-        URDF has no rotor inertia; it is left out.
-
-        Args:
-            path: The .urdf file; it is written atomically, and its folder is made.
-
-        Raises:
-            InputError: As for `applied_to`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".urdf",))
-        write_text(path, urdf_text(self.applied_to(self.arm)))
-        return path
-
-    def to_dict(self) -> dict[str, object]:
-        """The figures as plain values for JSON."""
-        validation = self.validation
-        return {
-            "ok": self.ok,
-            "reason": self.reason,
-            "robot": self.arm.name,
-            "joints": list(self.arm.joint_names),
-            "friction": self.friction,
-            "inertia": self.inertia.tolist(),
-            "consistent": self.consistent.tolist(),
-            "rotor_inertia": self.rotor_inertia.tolist(),
-            "viscous_friction": self.viscous_friction.tolist(),
-            "coulomb_friction": self.coulomb_friction.tolist(),
-            "breakaway": self.breakaway.tolist(),
-            "torque_offset": self.torque_offset.tolist(),
-            "delay_s": self.delay,
-            "cutoff_hz": self.cutoff,
-            "condition_number": self.condition_number,
-            "unexcited": list(self.unexcited),
-            "findings": list(self.findings),
-            "held_out_rms": validation.rms.tolist(),
-            "held_out_rms_of_model": validation.model_rms.tolist(),
-            "held_out_relative": validation.relative.tolist(),
-        }
-
-    def _model(self, arm: Arm) -> mujoco.MjModel:
-        """The arm's MuJoCo model with the identified parameters."""
-        check_arm(arm)
-        if not self.ok:
-            raise InputError(f"estimate: {self.arm.name:.40}: not identified: {self.reason:.250}")
-        if arm.joint_names != self.arm.joint_names:
-            raise InputError(
-                f"arm: its joints are {', '.join(arm.joint_names):.120}, identified are {shown(self.arm.joint_names)}"
-            )
+    def _identified(self, arm: Arm) -> Arm:
         if not self.consistent.all():
             wrong = [name for name, fits in zip(self.arm.joint_names, self.consistent, strict=True) if not fits]
             raise InputError(f"estimate: no body can have the inertia behind {', '.join(wrong):.120}; use consistent=True")
@@ -283,7 +185,28 @@ class ArmEstimate:
             speed = self.friction_speeds.smoothing
             slope = np.where(speed > _MIN_SHAPE_SPEED, self.coulomb_friction / speed, 0.0)  # 0: by the joint's inertia
             set_dry_friction(model, arm.joint_map, self.coulomb_friction, slope)
-        return model
+        return with_model(arm, model)
+
+    def to_dict(self) -> dict[str, object]:
+        """The figures as plain values for JSON."""
+        validation = self.validation
+        parts = ("inertia", "consistent", "rotor_inertia", "viscous_friction", "coulomb_friction", "breakaway", "torque_offset")
+        return {
+            "ok": self.ok,
+            "reason": self.reason,
+            "robot": self.arm.name,
+            "joints": list(self.arm.joint_names),
+            "friction": self.friction,
+            **{part: getattr(self, part).tolist() for part in parts},
+            "delay_s": self.delay,
+            "cutoff_hz": self.cutoff,
+            "condition_number": self.condition_number,
+            "unexcited": list(self.unexcited),
+            "findings": list(self.findings),
+            "held_out_rms": validation.rms.tolist(),
+            "held_out_rms_of_model": validation.model_rms.tolist(),
+            "held_out_relative": validation.relative.tolist(),
+        }
 
 
 def counted(names: tuple[str, ...]) -> str:

@@ -13,7 +13,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.collision.clearance import clearance_of
 from armctl.core.errors import ArmctlWarning, LimitError, PlanError
 from armctl.core.validation import Array, IntArray
-from armctl.design.regressor import ArmRegressor, FrictionShape, pivoted_qr
+from armctl.design.regressor import ArmRegressor, FrictionShape, condition_number, pivoted_qr
 from armctl.motion.move_through import move_through
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
@@ -40,19 +40,12 @@ _PATH_SAMPLES = 10  # between two configurations, for a first check for collisio
 
 @dataclass(frozen=True, eq=False)
 class Multisine:
-    """Where the measured periods of a motion are, and what they contain.
-
-    Attributes:
-        joints: The joints that move.
-        period: s.
-        starts: (M,) s, where a measured period begins, each with its own phases.
-        lines: The excited multiples of 1 / period, all odd.
-    """
+    """Where the measured periods of a motion are, and what they contain."""
 
     joints: tuple[int, ...]
-    period: float
-    starts: Array
-    lines: IntArray
+    period: float  # s
+    starts: Array  # (M,) s, where a measured period begins, each with its own phases
+    lines: IntArray  # the excited multiples of 1 / period, all odd
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +66,14 @@ class Excitation(JointTrajectory):
 
 
 class _Score(NamedTuple):
-    """How well a motion shows the parameters.
-
-    Attributes:
-        uncertainty: The mean over the joints of the logarithm of the variance of the torques of random states after a fit to
-            the motion; less is better.
-        condition: The condition number of the regressor with columns of equal length.
-    """
-
+    # The mean over the joints of the logarithm of the variance of the torques of random states after a fit to the motion; less
+    # is better.
     uncertainty: float
-    condition: float
+    condition: float  # the condition number of the regressor with columns of equal length
 
 
 def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int, start: Array | None = None) -> Excitation:
-    """The most informative of several safe motions through random configurations, from `start` back to it.
-
-    Without `start` it begins at home, or else, with a warning, at the first of several other configurations with such a motion.
-    """
+    """The most informative of several safe motions, from `start` or home; else, with a warning, from near home."""
     score_of = _Scorer(arm)
     checker = collision_checker(arm)
     checker.require_provable()
@@ -130,11 +114,6 @@ def _other_starts(arm: Arm, checker: CollisionChecker, rng: np.random.Generator)
 def _from(
     start: Array, arm: Arm, checker: CollisionChecker, score_of: _Scorer, seconds: float, speed: float, seed: int
 ) -> Excitation:
-    """The best motion from a configuration back to it.
-
-    Raises:
-        PlanError: None is safe.
-    """
     rng = np.random.default_rng(seed)
     near = checker.at(start, CLEARANCE_M)
     if near:
@@ -184,7 +163,6 @@ def _from(
 def excitation_along(
     motion: JointTrajectory, excites: str, condition_number: float, clearance: float = float("nan")
 ) -> Excitation:
-    """A motion with what it is good for."""
     return Excitation(
         motion.knots,
         motion.coefficients,
@@ -209,8 +187,6 @@ def _waypoints(arm: Arm, start: Array, count: int, size: float, rng: np.random.G
 
 
 class _Scorer:
-    """Scores motions of an arm by what they leave uncertain."""
-
     def __init__(self, arm: Arm):
         self._regressor = ArmRegressor(arm, "coulomb+viscous")
         typical = self._regressor.torque_scale()
@@ -224,7 +200,6 @@ class _Scorer:
         self._base = order[:rank]
 
     def __call__(self, motion: JointTrajectory) -> _Score:
-        """The score of a motion."""
         states = motion.sample(np.linspace(0.0, motion.duration, _SCORE_SAMPLES))
         rows = self._regressor.rows(states.q, states.v, states.a, self._shape) / self._noise[:, None]
         W = rows.reshape(-1, rows.shape[2]) * self._regressor.prior
@@ -232,9 +207,4 @@ class _Scorer:
         spread = np.linalg.solve(factor, self._targets.reshape(-1, W.shape[1]).T)
         variance = (spread**2).sum(axis=0).reshape(-1, len(self._noise)).mean(axis=0)
         uncertainty = float(np.log(variance).mean())
-        base = W[:, self._base]
-        lengths = np.linalg.norm(base, axis=0)
-        if not (lengths > 0).all():
-            return _Score(uncertainty, float("inf"))
-        singular = np.linalg.svd(base / lengths, compute_uv=False)
-        return _Score(uncertainty, float(singular[0] / max(singular[-1], np.finfo(float).tiny)))
+        return _Score(uncertainty, condition_number(W[:, self._base]))

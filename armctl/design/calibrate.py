@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
-from armctl.core.validation import Array, choice, frozen, matrix, shown
+from armctl.core.validation import Array, choice, frozen, matrix
 from armctl.design.arm_estimate import counted
-from armctl.design.identified_model import edited_spec, place_bodies, urdf_text
+from armctl.design.identified_model import IdentifiedArm, place_bodies
 from armctl.design.kinematic_parameters import KinematicChain, Parameter
 from armctl.robot.arm import Arm, check_arm
 
@@ -41,7 +39,7 @@ _MAX_LOSS = 1.05  # by which the error at poses that were left out may grow befo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GeometryEstimate:
+class GeometryEstimate(IdentifiedArm):
     """The geometry of an arm, calibrated from measured poses. True if the poses support it.
 
     Attributes:
@@ -87,9 +85,6 @@ class GeometryEstimate:
     sensor: Pose | None
     marker: Pose | None
 
-    def __bool__(self) -> bool:
-        return self.ok
-
     def __str__(self) -> str:
         lines = [f"{self.arm.name}: " + ("calibrated" if self.ok else f"not calibrated: {self.reason}")]
         lines.append(
@@ -101,59 +96,15 @@ class GeometryEstimate:
         lines += self.inseparable
         return "\n".join(lines)
 
-    def applied_to(self, arm: Arm) -> Arm:
-        """The arm with the calibrated base, joints and tool; the frames of sensor and marker are no part of it.
+    _WHAT = "calibrated"
 
-        Args:
-            arm: The arm that was measured.
-
-        Raises:
-            InputError: Nothing was calibrated, or the arm has other joints.
-            ModelError: A joint of the arm follows another one.
-        """
-        check_arm(arm)
-        if not self.ok:
-            raise InputError(f"estimate: {self.arm.name:.40}: not calibrated: {self.reason:.250}")
-        if arm.joint_names != self.arm.joint_names:
-            raise InputError(f"arm: its joints are {shown(arm.joint_names)}, calibrated are {shown(self.arm.joint_names)}")
+    def _identified(self, arm: Arm) -> Arm:
         chain = KinematicChain(arm)
         by_name = {parameter.name: parameter for parameter in chain.parameters}
         return chain.corrected([by_name[name] for name in self.names], self.values)
 
-    def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
-        """Writes the robot's MJCF with the calibrated geometry; all else stays as it is.
-
-        A tip that is a site is moved; else the site "calibrated_tip" is added, for `armctl.load(path, tip="calibrated_tip")`.
-
-        Args:
-            path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
-            source: The name or file that the arm was loaded from; the name of the arm if left out.
-
-        Raises:
-            InputError: As for `applied_to`, or the source is not that of the arm.
-            UnknownNameError: There is no robot of the name of the arm; give `source`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".xml",))
-        corrected = self.applied_to(self.arm)
-        spec = edited_spec(self.arm, corrected.model, source)
-        place_bodies(spec, self.arm, corrected)
-        write_text(path, spec.to_xml())
-        return path
-
-    def to_urdf(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the arm's chain as a URDF with the calibrated geometry: joints, limits, inertia and friction, no meshes.
-
-        Args:
-            path: The .urdf file; it is written atomically, and its folder is made.
-
-        Raises:
-            InputError: As for `applied_to`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".urdf",))
-        write_text(path, urdf_text(self.applied_to(self.arm)))
-        return path
+    def _complete(self, spec: mujoco.MjSpec, identified: Arm) -> None:
+        place_bodies(spec, self.arm, identified)
 
 
 class Measurement(NamedTuple):
@@ -171,15 +122,7 @@ class Columns(NamedTuple):
 
 
 class _Fit:
-    """Parameters fitted to measured poses by weighted least squares.
-
-    Attributes:
-        x: (p,) m or rad.
-        noise: (2,) m and rad, estimated from the residuals.
-        covariance: (p, p).
-        left_out: (K, 3) m, errors of positions, each predicted by a fit to the other poses.
-        condition_number: Of the weighted Jacobian with columns of equal length.
-    """
+    """Parameters fitted to measured poses by weighted least squares."""
 
     def __init__(self, chain: KinematicChain, parameters: Sequence[Parameter], q: Array, measured: Measurement):
         self._chain = chain
@@ -187,8 +130,8 @@ class _Fit:
         self._q = q
         self._measured = measured
         kinds = 1 if measured.rotation is None else 2
-        self.noise = np.array([1.0, 1.0 / _ROTATION_ARM_M])[:kinds]
-        self.x = np.zeros(len(parameters))
+        self.noise = np.array([1.0, 1.0 / _ROTATION_ARM_M])[:kinds]  # (2,) m and rad, estimated from the residuals
+        self.x = np.zeros(len(parameters))  # (p,) m or rad
         for _ in range(_WEIGHTINGS - 1 if kinds == 2 else 0):
             e, J = self._solved()
             free = self._by_kind(1.0 - np.einsum("kii->ki", _hat(J, len(q))))
@@ -199,8 +142,9 @@ class _Fit:
         self.condition_number = float(np.linalg.cond(J / lengths)) if len(parameters) else 1.0
         inverse = np.linalg.pinv(J / lengths)
         factor = float(e @ e) / self.freedom  # by which the residuals are larger than the weights say
-        self.covariance = factor * (inverse @ inverse.T) / np.outer(lengths, lengths)
+        self.covariance = factor * (inverse @ inverse.T) / np.outer(lengths, lengths)  # (p, p)
         rest = np.linalg.pinv(np.eye(3 * kinds) - _hat(J, len(q))) @ e.reshape(len(q), -1, 1)
+        # (K, 3) m, errors of positions, each predicted by a fit to the other poses.
         self.left_out = rest[:, :3, 0] * self.noise[0]
         self.noise = self.noise * np.sqrt(factor)
 
@@ -368,7 +312,6 @@ def rows_of(chain: KinematicChain, parameters: Sequence[Parameter], q: Array, po
 
 
 def _read(measured: ArrayLike | Sequence[Pose], count: int) -> Measurement:
-    """Measured poses, or positions, as many as configurations."""
     poses: Any = measured
     if isinstance(measured, Sequence) and len(measured) and all(isinstance(each, Pose) for each in measured):
         read = Measurement(np.array([T.position for T in poses]), np.array([T.rotation for T in poses]))

@@ -122,7 +122,6 @@ def calibration_poses(
 def _candidates(
     arm: Arm, start: Array, clearance: float, visible: Callable[[Pose], bool] | None, rng: np.random.Generator, count: int
 ) -> Array:
-    """(k, n) free configurations to choose from."""
     checker = collision_checker(arm)
     checker.require_provable()
     near = checker.at(start, clearance)

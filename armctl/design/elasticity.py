@@ -12,6 +12,7 @@ from armctl.core.errors import InputError
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance
+from armctl.core.verdict import Verdict
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.passive_forces import PassiveForces
 
@@ -26,7 +27,7 @@ _STICTION_SPEED = 0.02  # rad/s, over which dry friction turns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ElasticityEstimate:
+class ElasticityEstimate(Verdict):
     """The springs of elastic joints, identified from a recording. True if it shows those of all joints.
 
     Attributes:
@@ -42,9 +43,6 @@ class ElasticityEstimate:
     elasticity: Array
     compliance: Array
     compliance_error: Array
-
-    def __bool__(self) -> bool:
-        return self.ok
 
 
 def identify_elasticity(arm: Arm, log: Log, motor_positions: ArrayLike | None = None) -> ElasticityEstimate:
@@ -99,8 +97,6 @@ def _fitted(arm: Arm, log: Log, motors: Array, cutoff: float, from_torques: bool
 
 
 class _Springs:
-    """Fits compliances to filtered signals of a recording."""
-
     def __init__(self, arm: Arm, cutoff: float, dt: float, rows: slice):
         self.arm = arm
         self.armature = np.array(arm.pinocchio_model.pin_model.armature)

@@ -14,6 +14,7 @@ from armctl.core.limits import check_speed
 from armctl.core.validation import Array, choice, instance, number
 from armctl.design.arm_excitation import TORQUE_SHARE, Excitation, arm_excitation, excitation_along
 from armctl.design.multisine import multisine_excitation
+from armctl.design.regressor import condition_number
 from armctl.motion.move_through import move_through
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
@@ -117,14 +118,11 @@ def _condition_number(arm: Arm, motion: JointTrajectory) -> float:
         return float("inf")
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
     states = motion.sample(np.linspace(0.0, motion.duration, _CONDITION_SAMPLES))[:3]
-    Y = np.vstack([dynamics.payload_regressor(*row) / arm.limits.tau_max[:, None] for row in zip(*states, strict=True)])
-    lengths = np.linalg.norm(Y, axis=0)
-    singular = np.linalg.svd(Y / np.maximum(lengths, np.finfo(float).tiny), compute_uv=False)
-    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+    Y = np.array([dynamics.payload_regressor(*row) / arm.limits.tau_max[:, None] for row in zip(*states, strict=True)])
+    return condition_number(Y.reshape(-1, _PAYLOAD_PARAMETERS))
 
 
 def _payload_excitation(arm: Arm, payload: float, speed: float, seed: int) -> JointTrajectory:
-    """A motion through random configurations that shows a payload."""
     loaded = arm.with_payload(payload)
     collisions = collision_checker(arm)
     held = _holding_check(loaded)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.control import CompiledController, Controller, LowPass, Notch, TorqueFilter, controller_name
 from armctl.core.validation import Array, number
+from armctl.core.verdict import Verdict
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
 from armctl.design.stability import LoopMargins
@@ -32,7 +33,7 @@ _RESONANCES = 2  # the least damped ones get notches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FilterProposal:
+class FilterProposal(Verdict):
     """A law with a filter and gains, and its margins. True if they are as required.
 
     Attributes:
@@ -52,9 +53,6 @@ class FilterProposal:
     before: LoopMargins
     after: LoopMargins
     reason: str
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if not self.ok:
@@ -125,7 +123,6 @@ def propose_filter(
 
 
 def _doubtful(plant: Plant) -> list[Plant]:
-    """A plant, and others with springs that it may have instead."""
     if not np.any(plant.elasticity):
         return [plant]
     stiffness = np.asarray(plant.elasticity)
@@ -173,14 +170,12 @@ def _resonances(loop: Loop) -> Array:
 
 
 def _gains(law: Controller) -> dict[str, Any]:
-    """The gains of a law that follow its bandwidth."""
     if not isinstance(law, CompiledController):
         return {}
     return {name: getattr(law, name) for name in _POWERS if getattr(law, name, None) is not None}
 
 
 def _scaled(law: Controller, factor: float) -> Controller:
-    """A law with another bandwidth."""
     if factor == 1.0 or not isinstance(law, CompiledController):
         return law
     scaled = law.fresh()

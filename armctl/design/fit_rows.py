@@ -19,33 +19,19 @@ _VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction fol
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Filtered rows of a recording.
-
-    Attributes:
-        t: (K,) s.
-        v: (K, n) rad/s.
-        tau: (K, n) N m, measured.
-        model: (K, n) N m, by the model.
-        W: (K, n, p), the regressor.
-        start: (K, n) N m, by the arm's own model, dry friction included.
-        by_shape: (K, n) N m, the derivative of the torques by the logarithm of the slope of dry friction.
-        used: (K, n), 1 for a torque that the fit uses, 0 close to a reversal of a joint, where dry friction is uncertain.
-    """
-
-    t: Array
-    v: Array
-    tau: Array
-    model: Array
-    W: Array
-    start: Array
-    by_shape: Array
-    used: Array
+    t: Array  # (K,) s
+    v: Array  # (K, n) rad/s
+    tau: Array  # (K, n) N m, measured
+    model: Array  # (K, n) N m, by the model
+    W: Array  # (K, n, p), the regressor
+    start: Array  # (K, n) N m, by the arm's own model, dry friction included
+    by_shape: Array  # (K, n) N m, the derivative of the torques by the logarithm of the slope of dry friction
+    used: Array  # (K, n), 1 for a torque that the fit uses, 0 close to a reversal of a joint, where dry friction is uncertain
 
     def __len__(self) -> int:
         return len(self.t)
 
     def part(self, rows: slice) -> Rows:
-        """Some of the rows."""
         return Rows(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
@@ -68,9 +54,8 @@ class LawFit(NamedTuple):
 def speeds_of_torques(law: DryFriction | None, dynamics: Dynamics, log: Log, q: Array, v: Array, a: Array) -> Speeds:
     """The speeds at which each kind of torque acts, from filtered velocities and accelerations.
 
-    MuJoCo's step takes Coriolis torques at the velocity of the step before, damping at the end of the step, and dry friction at
-    a velocity that the acceleration advances (`DryFriction`). A real arm moves continuously. Dry friction follows a velocity
-    so fast that a joint that sticks for a short time is seen to stick.
+    MuJoCo's step takes Coriolis torques at the velocity before, damping at the end, and dry friction at a velocity that the
+    acceleration advances (`DryFriction`): here a fast one, in which short stops show. A real arm moves continuously.
     """
     fast = max(choose_cutoff(log.q, log.dt), velocity_cutoff(log.q, log.dt, _VELOCITY_NOISE))
     dry = derivatives(low_pass(log.q, fast, log.dt), log.dt)[0]

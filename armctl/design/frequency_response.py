@@ -15,6 +15,7 @@ from armctl.core.log import Log
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, IntArray, choice
+from armctl.core.verdict import Verdict
 from armctl.design.arm_excitation import Excitation
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
@@ -56,7 +57,7 @@ _SEED = 0  # of the phases
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrequencyResponse:
+class FrequencyResponse(Verdict):
     """A frequency response of one joint, measured and predicted. True if the measurement can be trusted.
 
     Attributes:
@@ -89,9 +90,6 @@ class FrequencyResponse:
     of: str = "sensitivity"
     bound: Array = field(default_factory=lambda: np.zeros(0))
     dt: float = 0.0
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     @classmethod
     def from_log(
@@ -130,19 +128,18 @@ class FrequencyResponse:
         of = choice("of", of, OF)
         index = joint_index(log.joint_names, joint)
         found = recorded_response(log, motion, index, of, loop, positions)
-        reason = log.failure or _recording_doubt(log, found.coherence)
+        reason = log.failure or _disturbance(log)
+        coherence = float(np.median(found.coherence))
+        if not reason and coherence < _MIN_COHERENCE:
+            reason = f"the coherence is {coherence:.2f} (median); record a larger or longer motion"
         return cls(
             ok=not reason,
             joint=log.joint_names[index],
-            frequency=found.frequency,
-            measured=found.measured,
-            predicted=found.predicted,
-            coherence=found.coherence,
             nonlinear=np.zeros(0),
             reason=reason,
             of=of,
-            bound=found.bound,
             dt=log.dt,
+            **found._asdict(),
         )
 
     @property
@@ -199,7 +196,6 @@ _LABELS = {"plant": "position per torque, rad/(N m)", "closed loop": "position p
 
 
 def _draw(figure: Figure, found: FrequencyResponse) -> None:
-    """Magnitude and phase over frequency."""
     magnitude, phase = figure.subplots(2, 1, sharex=True)
     hertz = found.frequency / (2 * np.pi)
     size = np.abs(found.measured)
@@ -222,10 +218,7 @@ def _draw(figure: Figure, found: FrequencyResponse) -> None:
 
 
 class Excited:
-    """A controller whose torque at one joint is disturbed by a signal; it records what the controller commanded there.
-
-    A constant torque is added: the arm is at rest from the first tick, also if the controller does not compensate gravity.
-    """
+    """Disturbs a controller's torque at one joint by a signal, and adds a constant that holds the arm from the first tick."""
 
     def __init__(self, controller: Controller, holding_torque: Array, joint: int, signal: Array):
         self.name = controller_name(controller)
@@ -321,19 +314,12 @@ def frequency_response(
 
 
 class _Response(NamedTuple):
-    """The response to one multisine, each (k,), relative to the excitation.
+    """The response to one multisine, each (k,), relative to the excitation."""
 
-    Attributes:
-        response: Complex, the mean of all periods.
-        variance: Of that mean, by noise.
-        coherence: In [0, 1].
-        distortion: The square of what appears at neighbouring lines that are not excited, without noise.
-    """
-
-    response: ComplexArray
-    variance: Array
-    coherence: Array
-    distortion: Array
+    response: ComplexArray  # complex, the mean of all periods
+    variance: Array  # of that mean, by noise
+    coherence: Array  # in [0, 1]
+    distortion: Array  # the square of what appears at neighbouring lines that are not excited, without noise
 
 
 def _response(total: Array, signal: Array, lines: IntArray) -> _Response:
@@ -359,16 +345,19 @@ def _above_noise(square: Array, variance: Array) -> Array:
 
 
 def _failure(log: Log, ticks: int) -> str:
-    """Why a run measured nothing; empty if it did."""
     if log.failure or len(log) < ticks:
         return log.failure or "the run was too short"
+    return _disturbance(log)
+
+
+def _disturbance(log: Log) -> str:
+    """The torque limit or the contact that disturbed a run; empty if there is none."""
     if (np.abs(log.tau_cmd) > log.tau_max).any():
         return "a motor reached its torque limit"
     return f"the arm touched {log.contacts[0].other:.80}" if log.contacts else ""
 
 
 def _doubt(frequency: Array, coherence: Array, nonlinear: Array) -> str:
-    """What speaks against a measurement; empty if nothing does."""
     hertz = frequency / (2 * np.pi)
     worst = int(coherence.argmin())
     if coherence[worst] < _MIN_COHERENCE:
@@ -379,17 +368,6 @@ def _doubt(frequency: Array, coherence: Array, nonlinear: Array) -> str:
             f"the nonlinear share is {nonlinear[worst]:.2g} at {hertz[worst]:.3g} Hz, above {_MAX_NONLINEAR_SHARE:g}: "
             "dry friction or a large motion, for which no linear loop stands"
         )
-    return ""
-
-
-def _recording_doubt(log: Log, coherence: Array) -> str:
-    """What speaks against a recording; empty if nothing does."""
-    if (np.abs(log.tau_cmd) > log.tau_max).any():
-        return "a motor reached its torque limit"
-    if log.contacts:
-        return f"the arm touched {log.contacts[0].other:.80}"
-    if np.median(coherence) < _MIN_COHERENCE:
-        return f"the coherence is {np.median(coherence):.2f} (median); record a larger or longer motion"
     return ""
 
 
@@ -415,7 +393,6 @@ def _multisine(ticks: int, lines: IntArray, amplitude: float) -> Array:
 
 
 def standstill(arm: Arm, q: Array, duration: float) -> JointTrajectory:
-    """A trajectory that stays at q."""
     coefficients = np.zeros((1, 6, arm.n))
     coefficients[0, 0] = q
     return JointTrajectory(np.array([0.0, duration]), coefficients, arm.joint_names, arm.limits)

@@ -4,22 +4,100 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 
+from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
-from armctl.core.validation import Array
+from armctl.core.validation import Array, shown
+from armctl.core.verdict import Verdict
 from armctl.design.pseudo_inertia import inertial_parameters, pseudo_inertia, regularized, upper_factor
 from armctl.loading.catalog import locate
 from armctl.mjmodel.edit import set_body_inertia
 from armctl.mjmodel.queries import last_joint_above
-from armctl.robot.arm import Arm
+from armctl.robot.arm import Arm, check_arm
 
 _MIN_MASS_KG = 1e-9
 _MIN_LENGTH_M = 1e-6
 _NO_LIMIT = 1e6  # URDF requires numbers
+
+
+class IdentifiedArm(Verdict):
+    """What was identified of an arm, as a model, MJCF and URDF."""
+
+    __slots__ = ()
+    _WHAT = "identified"
+    reason: str
+    arm: Arm
+
+    def applied_to(self, arm: Arm) -> Arm:
+        """The arm with what was identified, for a controller; its motors stay torque motors.
+
+        `inverse_dynamics` of the result contains identified viscous friction, and leaves out Coulomb friction: that is MuJoCo's
+        `frictionloss` of the result, which controllers compensate. What has no place in a MuJoCo model is left out: breakaway
+        friction, offsets, and the frames of sensor and marker.
+
+        Args:
+            arm: The arm that was measured. If a link consists of several bodies, all of them change alike.
+
+        Raises:
+            InputError: Nothing was identified, the arm has other joints, or a link is not physically consistent.
+            ModelError: For a geometry: a joint of the arm follows another one.
+        """
+        check_arm(arm)
+        if not self.ok:
+            raise InputError(f"estimate: {self.arm.name:.40}: not {self._WHAT}: {self.reason:.250}")
+        if arm.joint_names != self.arm.joint_names:
+            raise InputError(f"arm: its joints are {shown(arm.joint_names)}, {self._WHAT} are {shown(self.arm.joint_names)}")
+        return self._identified(arm)
+
+    def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
+        """Writes the robot's MJCF with what was identified; all else stays as it is.
+
+        Rotor inertia and friction are those of `applied_to`. Identified servos become position servos with gains and delay,
+        without offsets, which belong to the measurement. With a calibrated geometry, a tip that is a site is moved; else the
+        site "calibrated_tip" is added, for `armctl.load(path, tip="calibrated_tip")`.
+
+        Args:
+            path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
+            source: The name or file that the arm was loaded from; the name of the arm if left out.
+
+        Raises:
+            InputError: As for `applied_to`, or the source is not that of the arm.
+            UnknownNameError: There is no robot of the name of the arm; give `source`.
+            ArmctlError: The file cannot be written.
+        """
+        path = file_path("path", path, (".xml",))
+        identified = self.applied_to(self.arm)
+        spec = edited_spec(self.arm, identified.model, source)
+        self._complete(spec, identified)
+        write_text(path, spec.to_xml())
+        return path
+
+    def to_urdf(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the identified arm's chain as a URDF: joints, limits, inertia and friction, no meshes.
+
+        URDF has no rotor inertia and no servos; they are left out.
+
+        Args:
+            path: The .urdf file; it is written atomically, and its folder is made.
+
+        Raises:
+            InputError: As for `applied_to`.
+            ArmctlError: The file cannot be written.
+        """
+        path = file_path("path", path, (".urdf",))
+        write_text(path, urdf_text(self.applied_to(self.arm)))
+        return path
+
+    def _complete(self, spec: mujoco.MjSpec, identified: Arm) -> None:
+        """Writes more than inertia and friction into the specification of the arm."""
+
+    def _identified(self, arm: Arm) -> Arm:
+        raise NotImplementedError
 
 
 def consistent_model(arm: Arm, model: mujoco.MjModel, inertia: Array) -> None:
@@ -181,7 +259,6 @@ def _body_frames(arm: Arm) -> dict[int, pin.SE3]:
 
 
 def _in_joint_frame(model: mujoco.MjModel, body: int, frame: pin.SE3) -> pin.Inertia:
-    """The inertia of a body in the frame of its joint."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
     rotation = rotation.reshape(3, 3)

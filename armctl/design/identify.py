@@ -13,7 +13,7 @@ from armctl.core.validation import Array, BoolArray, IntArray, choice, flag, fro
 from armctl.design.arm_estimate import ArmEstimate, Validation, counted
 from armctl.design.parameter_fit import ParameterFit
 from armctl.design.pseudo_inertia import PARAMETERS, is_consistent
-from armctl.design.regressor import ArmRegressor, pivoted_qr
+from armctl.design.regressor import ArmRegressor, condition_number, pivoted_qr
 from armctl.robot.arm import Arm, check_arm
 
 FRICTION_MODELS = ("none", "coulomb+viscous", "stribeck")
@@ -34,17 +34,11 @@ _FINDING_SHARE = 0.02  # of the typical torque at 1 rad/s, for friction
 
 
 class _Base(NamedTuple):
-    """The combinations of parameters that torques depend on.
+    """The combinations of parameters that torques depend on."""
 
-    Attributes:
-        leading: (b,) the parameter that leads each combination.
-        combination: (b, p), in units of the prior's standard deviations.
-        rows: (T, n, b), the torques of random states for a standard deviation of the prior, as shares of a typical torque.
-    """
-
-    leading: IntArray
-    combination: Array
-    rows: Array
+    leading: IntArray  # (b,) the parameter that leads each combination
+    combination: Array  # (b, p), in units of the prior's standard deviations
+    rows: Array  # (T, n, b), the torques of random states for a standard deviation of the prior, as shares of a typical torque
 
 
 def identify(
@@ -91,7 +85,6 @@ def identify(
 
 
 def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
-    """A log of the arm, long enough."""
     if isinstance(log, (str, os.PathLike)):
         units = {"q": arm.units, "tau": arm.torque_units}
         log = Log.from_csv(log, units=units, robot=arm.name)
@@ -114,7 +107,6 @@ def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
 
 
 def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
-    """The estimate, with the reasons against it."""
     regressor = fit.regressor
     arm = regressor.arm
     layout = regressor.layout
@@ -129,7 +121,7 @@ def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
     hidden = _hidden(base, base_covariance)
     names = np.array(regressor.names)[base.leading]
     unexcited = tuple(str(name) for name in names[hidden])
-    condition = _condition_number(W[:, base.leading[fit.kept[base.leading]]])
+    condition = condition_number(W[:, base.leading[fit.kept[base.leading]]])
     reason = _reason(fit, unexcited, condition, validation)
     scale = regressor.prior[base.leading]
     links = fit.x[: PARAMETERS * arm.n].reshape(arm.n, PARAMETERS)
@@ -191,10 +183,7 @@ def _typical_torque(fit: ParameterFit) -> Array:
 
 
 def _hidden(base: _Base, covariance: Array) -> BoolArray:
-    """Base parameters that leave the torques of random states uncertain, since the motion did not show them.
-
-    None if the torques of all joints are certain: parameters that are uncertain alone, but not together, do no harm.
-    """
+    """Base parameters that leave torques of random states uncertain, if any are: uncertain alone, they do no harm."""
     torques = np.sqrt(np.einsum("tni,ij,tnj->n", base.rows, covariance, base.rows) / len(base.rows))
     if (torques < _SIGNIFICANT_SHARE).all():
         return np.zeros(len(covariance), bool)
@@ -205,21 +194,11 @@ def _hidden(base: _Base, covariance: Array) -> BoolArray:
     return hidden
 
 
-def _condition_number(W: Array) -> float:
-    """The condition number with columns of equal length; infinite if a column is zero."""
-    lengths = np.linalg.norm(W, axis=0)
-    if not (lengths > 0).all():
-        return float("inf")
-    singular = np.linalg.svd(W / lengths, compute_uv=False)
-    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
-
-
 def _validated(fit: ParameterFit) -> Validation:
-    """The prediction of the torques that the fit did not use."""
     rows = fit.held_out
     arm = fit.regressor.arm
     predicted = fit.predicted(rows)
-    by_model = fit.start_predicted(rows)
+    by_model = rows.start
     if len(rows) < _MIN_HELD_OUT_ROWS:
         rms = np.full(arm.n, np.nan)
         model_rms = rms
@@ -244,7 +223,6 @@ def _validated(fit: ParameterFit) -> Validation:
 
 
 def _failure(fit: ParameterFit, rms: Array, model_rms: Array, relative: Array) -> str:
-    """Why held-out torques are not predicted; empty if they are."""
     arm = fit.regressor.arm
     moving = np.abs(fit.held_out.v).max(axis=0) > _MIN_SPEED
     if not moving.any():
@@ -262,7 +240,6 @@ def _failure(fit: ParameterFit, rms: Array, model_rms: Array, relative: Array) -
 
 
 def _reason(fit: ParameterFit, unexcited: tuple[str, ...], condition: float, validation: Validation) -> str:
-    """What speaks most against the estimate; empty if nothing does."""
     arm = fit.regressor.arm
     training = fit.training
     if len(training) < _MIN_ROWS:

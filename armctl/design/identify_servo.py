@@ -5,22 +5,19 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance
-from armctl.design.identified_model import edited_spec, urdf_text
+from armctl.design.identified_model import IdentifiedArm
 from armctl.design.servo_simulation import ServoParameters, ServoSimulation, set_rotors_and_friction
 from armctl.loading.catalog import locate
-from armctl.robot.arm import Arm, check_arm
-from armctl.robot.pinocchio_model import build_pinocchio_model
+from armctl.robot.arm import Arm, check_arm, with_model
 
 PER_JOINT = ("armature", "stiffness", "damping", "coulomb_friction", "offset")
 _BANDWIDTH = 20.0  # rad/s, where to start with a file that has no servos
@@ -43,7 +40,7 @@ _MAX_UNEXPLAINED = 0.5  # of the difference between command and position along t
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ServoEstimate:
+class ServoEstimate(IdentifiedArm):
     """Position servos, identified from positions. True if the second motion confirms them.
 
     Attributes:
@@ -70,9 +67,6 @@ class ServoEstimate:
     rms: Array
     judge_rms: Array
     judge_file_rms: Array
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         found = self.parameters
@@ -104,43 +98,12 @@ class ServoEstimate:
         _check(self.arm, "recording", recording)
         return ServoSimulation(self.arm, recording.dt).positions([self.parameters], recording)[0]
 
-    def applied_to(self, arm: Arm) -> Arm:
-        """The arm with the identified rotor inertia and Coulomb friction, for a controller; its motors stay torque motors.
-
-        Args:
-            arm: The arm that the recording is of.
-
-        Raises:
-            InputError: Nothing was identified, or the arm has other joints.
-        """
-        check_arm(arm)
-        if not self.ok:
-            raise InputError(f"estimate: {self.arm.name:.40}: not identified: {self.reason:.250}")
-        if arm.joint_names != self.arm.joint_names:
-            raise InputError(f"arm: {arm.name:.80} has other joints than {self.arm.name:.80}, which was identified")
+    def _identified(self, arm: Arm) -> Arm:
         model = copy.copy(arm.model)
         set_rotors_and_friction(model, arm, self.parameters)
-        body = build_pinocchio_model(
-            model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
-        )
-        return replace(arm, model=model, pinocchio_model=body)
+        return with_model(arm, model)
 
-    def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
-        """Writes the robot's MJCF with the identified rotor inertia and friction, and position servos with gains and delay.
-
-        Offsets belong to the measurement and are left out.
-
-        Args:
-            path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
-            source: The name or file that the arm was loaded from; the name of the arm if left out.
-
-        Raises:
-            InputError: As for `applied_to`, or the source is not that of the arm.
-            UnknownNameError: There is no robot of the name of the arm; give `source`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".xml",))
-        spec = edited_spec(self.arm, self.applied_to(self.arm).model, source)
+    def _complete(self, spec: mujoco.MjSpec, identified: Arm) -> None:
         for actuator in spec.actuators:
             if actuator.target not in self.arm.joint_names:
                 continue
@@ -152,22 +115,6 @@ class ServoEstimate:
             actuator.forcerange = [-limit, limit] if np.isfinite(limit) else [0.0, 0.0]
             actuator.delay = self.parameters.delay
             actuator.nsample = int(np.ceil(self.parameters.delay / self.arm.dt)) + 1 if self.parameters.delay > 0.0 else 0
-        write_text(path, spec.to_xml())
-        return path
-
-    def to_urdf(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the arm's chain as a URDF with the identified Coulomb friction; URDF has no rotor inertia and no servos.
-
-        Args:
-            path: The .urdf file; it is written atomically, and its folder is made.
-
-        Raises:
-            InputError: As for `applied_to`.
-            ArmctlError: The file cannot be written.
-        """
-        path = file_path("path", path, (".urdf",))
-        write_text(path, urdf_text(self.applied_to(self.arm)))
-        return path
 
 
 def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.PathLike[str] | None = None) -> ServoEstimate:
@@ -238,7 +185,6 @@ def _reason(arm: Arm, rms: Array, lag: Array, judged: Array, by_file: Array) -> 
 
 
 def _check(arm: Arm, what: str, log: Log) -> None:
-    """Checks a recording with commands."""
     instance(what, log, Log, "armctl.Log.from_positions makes one")
     if log.joint_names != arm.joint_names:
         raise InputError(
@@ -278,13 +224,6 @@ class _Fit:
     The armature is a logarithm over the file's value; stiffness and damping are logarithms of their ratio to the armature over
     that of the file, and dry friction is in proportion to it. So an armature that is not shown is one coordinate, along which
     finite differences are exact: sums of large columns that cancel would not be. Offsets are rad, the delay sampling periods.
-
-    Attributes:
-        z: (p,) the parameters.
-        free: (p,) False for those that keep the file's value.
-        unseen: (p,) True for those that the recording does not show.
-        file: The parameters of the file.
-        names: Their names.
     """
 
     def __init__(self, arm: Arm, log: Log, file: ServoParameters):
@@ -297,7 +236,7 @@ class _Fit:
         typical = np.sqrt(np.mean((log.q_ref - log.q) ** 2, axis=0)) * file.stiffness
         self._friction_unit = np.maximum(_FRICTION_SHARE * typical, np.finfo(float).tiny)
         self.names = [f"{joint} {kind}" for kind in PER_JOINT for joint in arm.joint_names] + ["delay"]
-        self.z = np.zeros(5 * n + 1)
+        self.z = np.zeros(5 * n + 1)  # (p,) the parameters
         self.z[3 * n : 4 * n] = file.coulomb_friction / self._friction_unit
         self._file_z = self.z.copy()
         self._low = np.full(5 * n + 1, -np.log(_RANGE))
@@ -305,8 +244,8 @@ class _Fit:
         self._high = np.full(5 * n + 1, np.log(_RANGE))
         self._high[3 * n :] = np.concatenate([np.full(n, np.inf), np.full(n, 1.0), [_MAX_DELAY_S / log.dt]])
         still = np.ptp(log.q, axis=0) < _MIN_TRAVEL_RAD
-        self.free = ~np.concatenate([np.tile(still, 4), np.zeros(n + 1, bool)])
-        self.unseen = ~self.free
+        self.free = ~np.concatenate([np.tile(still, 4), np.zeros(n + 1, bool)])  # (p,) False if it keeps the file's value
+        self.unseen = ~self.free  # (p,) True for those that the recording does not show
         self._alone = np.zeros(len(self.z))
         self._J = np.zeros((0, 0))
 
@@ -341,7 +280,6 @@ class _Fit:
         self.z = starts[int(np.argmin((self._many(starts) ** 2).sum(axis=(1, 2))))]
 
     def solve(self) -> None:
-        """Fits the free parameters."""
         from scipy.optimize import least_squares
 
         free = self.free
@@ -386,7 +324,6 @@ class _Fit:
             self._file_z[-1] = self.z[-1]
 
     def standard_errors(self) -> ServoParameters:
-        """Standard errors in SI units."""
         errors = np.where(self.unseen | ~self.free, self._alone, self._physical(self._covariance()))
         rows = errors[:-1].reshape(5, self._n)
         found = self.parameters(self.z)

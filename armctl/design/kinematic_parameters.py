@@ -13,29 +13,18 @@ import numpy as np
 from armctl.core.errors import InputError, ModelError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, shown
-from armctl.robot.arm import Arm
-from armctl.robot.pinocchio_model import build_pinocchio_model
+from armctl.robot.arm import Arm, with_model
 
 KINDS = ("offsets", "base", "tool", "lengths", "axes", "sensor", "marker")
 _SMALL_ANGLE = 1e-6  # rad, below which sin(x) / x is 1 in double precision
 
 
 class Parameter(NamedTuple):
-    """One error of one frame.
-
-    Attributes:
-        name: Such as "joint2 offset", "joint2 x", "base rz".
-        kind: One of `KINDS`.
-        frame: The number of the frame in the chain.
-        turns: Whether it turns the frame (rad) instead of shifting it (m).
-        axis: (3,) about which, in the frame; or along which, in the frame before it.
-    """
-
-    name: str
-    kind: str
-    frame: int
-    turns: bool
-    axis: Array
+    name: str  # such as "joint2 offset", "joint2 x", "base rz"
+    kind: str  # one of `KINDS`
+    frame: int  # the number of the frame in the chain
+    turns: bool  # whether it turns the frame (rad) instead of shifting it (m)
+    axis: Array  # (3,) about which, in the frame; or along which, in the frame before it
 
 
 class MeasuredPoses(NamedTuple):
@@ -57,12 +46,9 @@ class Frame:
 
 
 class KinematicChain:
-    """Sensor, base, joints, tool and marker: the pose of the marker that the sensor measures.
+    """Sensor, base, joints, tool and marker: the pose of the marker that the sensor measures, and errors of all frames.
 
     With a sensor on the hand, the chain leads from the marker in the world to the sensor, and the measured pose is the inverse.
-
-    Attributes:
-        parameters: All errors that the frames can have; those of the sensor and the marker start at `frames`.
     """
 
     def __init__(self, arm: Arm, on_hand: bool = False):
@@ -110,11 +96,7 @@ class KinematicChain:
         self.parameters = sorted(parameters, key=lambda parameter: KINDS.index(parameter.kind))
 
     def select(self, wanted: Sequence[str], positions_only: bool) -> list[Parameter]:
-        """Parameters by kind or by name, in the order wanted; no rotation of the marker where only its point is measured.
-
-        Raises:
-            InputError: There is no such parameter.
-        """
+        """Parameters by kind or by name, in the order wanted; no rotation of the marker where only its point is measured."""
         known = [*KINDS, *(parameter.name for parameter in self.parameters)]
         if isinstance(wanted, str) or not all(name in known for name in wanted):
             raise InputError(
@@ -164,7 +146,6 @@ class KinematicChain:
         self.frames[-1] = Frame(last.position, last.rotation)
 
     def frame_pose(self, number: int, parameters: Sequence[Parameter], x: Array) -> Pose:
-        """A frame of the chain in the one before it, with errors."""
         frame = self.frames[number]
         shift, turn = _errors(number, parameters, x)
         return Pose.from_rotation(frame.position + shift, frame.rotation @ _exp(turn))
@@ -206,13 +187,9 @@ class KinematicChain:
             model.site_quat[site] = T_body_tip.quat
             model.site_sameframe[site] = 0
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        body = build_pinocchio_model(
-            model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, T_body_tip
-        )
-        return replace(arm, model=model, pinocchio_model=body, T_body_tip=T_body_tip)
+        return with_model(replace(arm, T_body_tip=T_body_tip), model)
 
     def _tip(self, parameters: Sequence[Parameter], x: Array) -> Pose:
-        """The corrected tip in its body."""
         number = self.arm.n + 2
         nominal = self.frame_pose(number, (), np.zeros(0))
         actual = self.frame_pose(number, parameters, x)

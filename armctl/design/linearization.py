@@ -146,7 +146,6 @@ class Linearizer:
         self._past_torques = math.ceil(longest / self.dt - _WHOLE_TICK_TOLERANCE)
 
     def arm_at(self, q: Array) -> LinearArm:
-        """The arm at rest at q."""
         n = self.arm.n
         past = self._past_torques
         holding = self._rest_at(q)
@@ -208,12 +207,7 @@ class Linearizer:
         return self._train.settle(self._model, self._data)
 
     def _after_tick(self, x: Array, holding: Array, torques: Array) -> Array:
-        """The state a control period later.
-
-        Args:
-            x: (k,) the state before.
-            torques: N m: on the links, and how much more than `holding` the motors were given in this tick and in those before.
-        """
+        """The state a tick after x (k,), by torques on the links, and those beyond `holding` at the motors now and before."""
         arm = self.arm
         data = self._data
         n = arm.n
@@ -285,11 +279,7 @@ def _jittered(arm: LinearArm, jitter: int) -> LinearArm:
 
 
 def _sensed(arm: LinearArm, plant: Plant, sensors: SensorTiming) -> tuple[StateSpace, int]:
-    """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late.
-
-    What is measured at intervals is the mean of the measurements of all ages that it gets, as a held value is at frequencies
-    far below that of the interval.
-    """
+    """An arm with its sensors, and how many states they add. Held measurements are the mean of all ages that they get."""
     size = len(arm.A)
     n = arm.B.shape[1]
     signals = len(arm.C)

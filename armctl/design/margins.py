@@ -13,6 +13,7 @@ from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError
 from armctl.core.limits import smallest_configuration
 from armctl.core.validation import Array, frozen, integer, matrix, shown
+from armctl.core.verdict import Verdict
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
 from armctl.design.stability import CoarseMargins, LoopMargins
@@ -27,20 +28,15 @@ SEARCH_STEPS = 40  # of the search for the worst configuration
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorstMargin:
-    """The worst value of one margin, and where it occurs.
-
-    Attributes:
-        q: (n,) rad, the configuration.
-        plant: The plant, in words.
-    """
+    """The worst value of one margin, and where it occurs."""
 
     value: float
-    q: Array
-    plant: str
+    q: Array  # (n,) rad, the configuration
+    plant: str  # the plant, in words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Margins:
+class Margins(Verdict):
     """The worst margins of an arm with a controller, over configurations and plants. True if the loop is stable in all of them.
 
     Attributes:
@@ -64,9 +60,6 @@ class Margins:
     peak_sensitivity: WorstMargin
     loops: int
     reason: str
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if not self.ok:
@@ -191,20 +184,15 @@ def _worst(arm: Arm, law: Controller, loops: list[Loop], found: list[LoopMargins
         robot=arm.name,
         controller=controller_name(law),
         dt=loops[int(np.argmin(delays))].dt,
-        delay=_smallest(loops, delays),
-        gain=_smallest(loops, [each.gain_margin for each in found]),
-        phase=_smallest(loops, [each.phase_margin for each in found]),
-        peak_sensitivity=_largest_sensitivity(loops, found),
+        delay=_worst_of(loops, delays),
+        gain=_worst_of(loops, [each.gain_margin for each in found]),
+        phase=_worst_of(loops, [each.phase_margin for each in found]),
+        peak_sensitivity=_worst_of(loops, [each.peak_sensitivity for each in found], np.argmax),
         loops=len(loops),
         reason=reason,
     )
 
 
-def _smallest(loops: list[Loop], values: list[float]) -> WorstMargin:
-    i = int(np.argmin(values))
+def _worst_of(loops: list[Loop], values: list[float], worst: Callable[[list[float]], np.intp] = np.argmin) -> WorstMargin:
+    i = int(worst(values))
     return WorstMargin(values[i], frozen(loops[i].q.copy()), loops[i].plant)
-
-
-def _largest_sensitivity(loops: list[Loop], found: list[LoopMargins]) -> WorstMargin:
-    i = int(np.argmax([each.peak_sensitivity for each in found]))
-    return WorstMargin(found[i].peak_sensitivity, frozen(loops[i].q.copy()), loops[i].plant)

@@ -42,9 +42,8 @@ def multisine_excitation(
 ) -> Excitation:
     """A motion of joints around a configuration in odd harmonics, as large as the limits permit and proved free.
 
-    All joints drift at the same speed through the configuration, again and again, and oscillate at the same frequencies. From
-    period to period their phases turn such that the joints are orthogonal to each other; see Pintelon and Schoukens,
-    System Identification: A Frequency Domain Approach (2012), 2.7 and 3.7.
+    Joints drift through it again and again. Their phases turn from period to period, so that they are orthogonal: Pintelon and
+    Schoukens, System Identification: A Frequency Domain Approach (2012), 2.7 and 3.7.
     """
     q = arm.limits.clamp(arm.home) if start is None else start
     joints = tuple(range(arm.n)) if joint is None else (joint_index(arm.joint_names, joint),)
@@ -91,11 +90,6 @@ def multisine_excitation(
 
 
 def joint_index(names: tuple[str, ...], joint: int | str) -> int:
-    """The index of a joint that is given by its name or its index.
-
-    Raises:
-        InputError: There is no such joint.
-    """
     if isinstance(joint, str):
         if joint not in names:
             raise InputError(f"joint: there is no joint {joint!r:.80}; there are {', '.join(names):.200}")
@@ -142,10 +136,7 @@ def _unit_motion(times: Array, lines: IntArray, sets: int, joints: int, rng: np.
 
 
 def _drift(sets: int, speed: Array) -> tuple[Array, Array, Array, Array]:
-    """Times, positions, velocities and accelerations of the slow motion, from rest to rest.
-
-    After each turn it keeps its speed (joints,), and passes zero in the middle of the measured period.
-    """
+    """Times, positions, velocities, accelerations of the slow motion, which passes zero in the middle of measured periods."""
     block = _PERIODS * _PERIOD_S
     begins = block * np.arange(sets)
     turn = block - _PERIOD_S - _TURN_S

@@ -55,19 +55,7 @@ _DROPPED_PRIOR = 1e-4  # factor on the standard deviation of the prior
 
 
 class ParameterFit:
-    """A fit to the first rows of a recording; the others are held out.
-
-    Attributes:
-        x: (p,) the parameters.
-        noise: (n,) N m, RMS of the residuals of the fit.
-        torque_noise: (n,) N m, RMS of the white noise in the filtered torques.
-        inflation: (n,) factors by which correlated residuals increase the variance of an estimate.
-        prior: (p,) standard deviations before any data; those of parameters that are not kept are small.
-        kept: (p,) False for dry friction and offsets that stay at the model's values.
-        delay: s, by which torques were recorded later than positions.
-        cutoff: Hz.
-        shape: The shape of the friction.
-    """
+    """A fit to the first rows of a recording; the others are held out."""
 
     def __init__(self, regressor: ArmRegressor, log: Log, holdout: float, consistent: bool):
         self.regressor = regressor
@@ -76,11 +64,11 @@ class ParameterFit:
         self._holdout = holdout
         self._may_be_delayed = log.controller == RECORDED  # positions and torques of a simulation are of the same tick
         n = regressor.arm.n
-        self.cutoff = choose_cutoff(log.q, log.dt)
+        self.cutoff = choose_cutoff(log.q, log.dt)  # Hz
         q = low_pass(log.q, self.cutoff, log.dt)
         v, a = derivatives(q, log.dt)
         white = np.diff(log.tau, axis=0).std(axis=0) / np.sqrt(2)
-        self.torque_noise = white * np.sqrt(min(1.0, 2 * self.cutoff * log.dt))
+        self.torque_noise = white * np.sqrt(min(1.0, 2 * self.cutoff * log.dt))  # (n,) N m, RMS of the filtered white noise
         self._tau = low_pass(log.tau, self.cutoff, log.dt)
         self._stride = max(1, int(1 / (_REGRESSOR_SAMPLES_PER_PERIOD * self.cutoff * log.dt)))
         self._q = q[:: self._stride]
@@ -99,16 +87,16 @@ class ParameterFit:
         start = speeds.start[:: self._stride]
         self._v_end = speeds.end[:: self._stride]
         self._v_dry = speeds.dry
-        self.x = regressor.start.copy()
+        self.x = regressor.start.copy()  # (p,) the parameters
         self._raw = regressor.rows(self._q, start, self._a, self.shape)
         self._set_friction()
         self._model = regressor.model_torques(self._q, start, self._a)
         self._model += regressor.dynamics.damping * (self._v_end - start)
-        self.delay = 0.0
-        self.prior = regressor.prior.copy()
-        self.kept = np.ones(regressor.layout.size, bool)
-        self.noise = 0.02 * self._scale
-        self.inflation = np.ones(n)
+        self.delay = 0.0  # s, by which torques were recorded later than positions
+        self.prior = regressor.prior.copy()  # (p,) deviations before any data; small for parameters that are not kept
+        self.kept = np.ones(regressor.layout.size, bool)  # (p,) False for friction and offsets that stay as in the model
+        self.noise = 0.02 * self._scale  # (n,) N m, RMS of the residuals of the fit
+        self.inflation = np.ones(n)  # (n,) factors by which correlated residuals increase the variance of an estimate
         for _ in range(_ROUNDS):
             self._improve()
         self.inflation = self._inflation()
@@ -168,7 +156,6 @@ class ParameterFit:
 
     @property
     def training(self) -> Rows:
-        """The rows that the fit uses."""
         return self.rows.part(slice(0, self._count_used()))
 
     @property
@@ -181,19 +168,12 @@ class ParameterFit:
         """(K, n) N m, by the fitted parameters."""
         return rows.model + rows.W @ (self.x - self.regressor.model_values)
 
-    def start_predicted(self, rows: Rows) -> Array:
-        """(K, n) N m, by the arm's own model, dry friction included."""
-        return rows.start
-
     def weighted(self, rows: Rows) -> Array:
         """(K n, p): the regressor in units of the noise of independent rows, for each standard deviation of the prior."""
         return (rows.W * self._weights(rows)[:, :, None]).reshape(-1, rows.W.shape[2]) * self.prior
 
     def covariance(self) -> Array:
-        """(p, p), in units of the standard deviations of the regressor's prior, of parameters that are not kept, too.
-
-        It takes into account that the speed is uncertain at which dry friction reaches its full value.
-        """
+        """(p, p), in units of the prior's deviations, of all parameters, with the doubt about the slope of dry friction."""
         rows = self.training
         K, n, p = rows.W.shape
         weights = self._weights(rows)
@@ -360,7 +340,6 @@ class ParameterFit:
         self.shape = self.shape._replace(smoothing=self._bound / self._slope)
 
     def _improve_speeds(self, rest: Array, kept: IntArray) -> None:
-        """The speeds of the friction of an arm whose law is not known."""
         rows = self.training
         layout = self.regressor.layout
 
@@ -391,14 +370,11 @@ class ParameterFit:
     def _dry_columns(self, speeds: Array, shape: FrictionShape) -> Array:
         """(T, k, 1 or 2): the columns of dry friction at speeds, filtered like the torques."""
         dry = self.regressor.dry_friction(speeds, shape)
-        once = low_pass(dry.reshape(len(dry), -1), self.cutoff, self._dt)[:: self._stride]
+        once = self._filtered(dry.reshape(len(dry), -1))
         return low_pass(once, self.cutoff, self._dt * self._stride).reshape(-1, *dry.shape[1:])
 
     def _sliding_speed(self, A: Array, torques: Array, slides: list[BoolArray]) -> float:
-        """The least speed of the rows with which Coulomb friction has the smallest standard error.
-
-        Rows close to a reversal have torques that a function of speed does not explain; far from it there are fewer rows.
-        """
+        """The least speed of rows by which Coulomb friction is known best: near a reversal it is no function of speed."""
         best = 0.0
         least = np.inf
         for speed, kept in zip(_SLIDING_SPEEDS, slides, strict=True):

@@ -10,6 +10,7 @@ import numpy as np
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance
+from armctl.core.verdict import Verdict
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
@@ -31,7 +32,7 @@ _MIN_INDEPENDENT_SHARE = 1e-6  # of the mass's regressor that is not round-off
 
 
 @dataclass(frozen=True, eq=False)
-class PayloadEstimate:
+class PayloadEstimate(Verdict):
     """A payload, and friction that the model does not have, identified from one run. True if the run determines them.
 
     Attributes:
@@ -59,9 +60,6 @@ class PayloadEstimate:
     viscous_friction: Array
     viscous_error: Array
     findings: tuple[str, ...] = ()
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if not self.ok:
@@ -131,10 +129,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
 
 
 def _disturbed(arm: Arm, log: Log) -> str:
-    """Why a run with saturated motors or oscillations does not show a payload, in words; empty if there is neither.
-
-    An oscillation has large accelerations above the cut-off of the filter, and what they need would count as payload.
-    """
+    """Why a run with saturated motors or oscillations, which look like payload, shows none; empty if there are neither."""
     saturated = (np.abs(log.tau) >= (1 - 1e-6) * arm.limits.tau_max).mean(axis=0)
     worst = int(saturated.argmax())
     cure = "repeat the run with lower gains or computed-torque"
@@ -234,7 +229,6 @@ class _Fit:
 
 
 def _judged(fit: _Fit) -> PayloadEstimate:
-    """What was fitted, if the run showed enough of it."""
     mass = float(fit.theta[0])
     error = float(fit.error[0])
     reason = ""
@@ -284,7 +278,6 @@ def _estimate(arm: Arm, reason: str, theta: Array, error: Array) -> PayloadEstim
 
 
 def _findings(arm: Arm, frictions: tuple[Array, Array], errors: tuple[Array, Array]) -> tuple[str, ...]:
-    """Joints whose friction in the model is certainly too high."""
     kinds = (("frictionloss", "N m", "N"), ("damping", "N m s/rad", "N s/m"))
     found = []
     for (what, turning, sliding), friction, error in zip(kinds, frictions, errors, strict=True):

@@ -40,24 +40,15 @@ class _Estimate(NamedTuple):
 
 
 class _Spectra(NamedTuple):
-    """Signals at the excited lines, each (k, n, M): n joints that move, M periods.
+    """Signals at the excited lines, each (k, n, M): n joints that move, M periods."""
 
-    Attributes:
-        reference: Of the motion.
-        position: Measured.
-        torque: Commanded; the torque at the motors if commands were not recorded.
-    """
-
-    reference: ComplexArray
-    position: ComplexArray
-    torque: ComplexArray
+    reference: ComplexArray  # of the motion
+    position: ComplexArray  # measured
+    torque: ComplexArray  # commanded; the torque at the motors if commands were not recorded
 
 
 def bound_factor(freedom: int) -> float:
-    """The square of the radius of a circle that contains a complex response with 95 %, over its estimated variance.
-
-    It is the quantile of Fisher's distribution with 2 and 2 `freedom` degrees of freedom, which has a closed form.
-    """
+    """Squared radius of a circle of 95 % over the variance of a response, by Fisher's distribution with 2, 2 `freedom`."""
     return float(freedom * (_RISK ** (-1 / freedom) - 1))
 
 
@@ -122,10 +113,7 @@ def _positions(log: Log, positions: ArrayLike | None) -> Array:
 
 
 def _transformed(multisine: Multisine, dt: float, rows: Array) -> ComplexArray:
-    """(k, n, M) the spectrum of rows (T, n) at the excited lines in each measured period, without what all periods share.
-
-    That is the drift, with the gravity, friction and torque ripple on its way.
-    """
+    """(k, n, M) the spectrum of rows (T, n) in each period, without what all share, such as drift and gravity."""
     ticks = round(multisine.period / dt)
     first = np.ceil(multisine.starts / dt - _WHOLE_TICK_TOLERANCE).astype(int)
     windows = np.array([rows[start : start + ticks] for start in first])
@@ -176,11 +164,7 @@ def _feedback(log: Log, loop: Loop, z: ComplexArray) -> ComplexArray:
 
 
 def _predicted(loop: Loop, multisine: Multisine, of: str, is_late: bool) -> ComplexArray:
-    """(k, n, n) for the joints that move, while the loops of the others are closed.
-
-    Args:
-        is_late: Whether torques are commands, which reach the motors after the delay.
-    """
+    """(k, n, n) for the joints that move, the loops of the others closed. Late torques are commands, before the delay."""
     w = 2 * np.pi * multisine.lines / multisine.period
     z = np.exp(1j * w * loop.dt)
     sensitivity = loop.sensitivity(w)

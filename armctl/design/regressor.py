@@ -40,22 +40,18 @@ class Layout(NamedTuple):
 
     @property
     def size(self) -> int:
-        """The number of parameters."""
         return self.offset.stop
 
     @property
     def rotor(self) -> slice:
-        """Rotor inertias."""
         return slice(PARAMETERS * self.n, (PARAMETERS + 1) * self.n)
 
     @property
     def viscous(self) -> slice:
-        """Viscous friction."""
         return self._next(self.rotor, self.has_friction)
 
     @property
     def coulomb(self) -> slice:
-        """Coulomb friction."""
         return self._next(self.viscous, self.has_friction)
 
     @property
@@ -65,11 +61,9 @@ class Layout(NamedTuple):
 
     @property
     def offset(self) -> slice:
-        """Torque offsets."""
         return self._next(self.stribeck, True)
 
     def link(self, i: int) -> slice:
-        """The inertia of link i."""
         return slice(PARAMETERS * i, PARAMETERS * (i + 1))
 
     def _next(self, before: slice, present: bool) -> slice:
@@ -77,15 +71,10 @@ class Layout(NamedTuple):
 
 
 class FrictionShape(NamedTuple):
-    """The speeds at which friction changes, each (n,) rad/s.
+    """The speeds at which friction changes, each (n,) rad/s."""
 
-    Attributes:
-        smoothing: Dry friction is proportional to v / smoothing, clipped to [-1, 1].
-        stribeck: The breakaway torque decays as exp(-(v / stribeck)^2).
-    """
-
-    smoothing: Array
-    stribeck: Array
+    smoothing: Array  # dry friction is proportional to v / smoothing, clipped to [-1, 1]
+    stribeck: Array  # the breakaway torque decays as exp(-(v / stribeck)^2)
 
 
 class ArmRegressor:
@@ -113,7 +102,6 @@ class ArmRegressor:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """A name for each parameter."""
         joints = self.arm.joint_names
         names = [f"{what} behind {joint}" for joint in joints for what in _INERTIAL_NAMES]
         kinds = [_JOINT_NAMES[0]]
@@ -186,7 +174,6 @@ class ArmRegressor:
         return values
 
     def _prior(self) -> Array:
-        """Standard deviations of all parameters before any data."""
         layout = self.layout
         links = self.model_values[: PARAMETERS * layout.n].reshape(layout.n, PARAMETERS)
         least = _MIN_MASS_SHARE * max(float(links[:, 0].sum()), 1e-6)
@@ -224,6 +211,15 @@ def pivoted_qr(W: Array) -> tuple[Array, IntArray, int]:
     R, order = factors
     diagonal = np.abs(np.diag(R))
     return R, np.asarray(order, dtype=np.int64), int((diagonal > _RANK_TOLERANCE * diagonal[0]).sum())
+
+
+def condition_number(W: Array) -> float:
+    """The condition number with columns of equal length; infinite if a column is zero."""
+    lengths = np.linalg.norm(W, axis=0)
+    if not (lengths > 0).all():
+        return float("inf")
+    singular = np.linalg.svd(W / lengths, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
 def _lifted_shares(arm: Arm) -> Array:

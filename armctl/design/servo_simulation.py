@@ -42,8 +42,6 @@ class ServoParameters:
 
 
 class ServoSimulation:
-    """Simulates recordings of an arm with position servos."""
-
     def __init__(self, arm: Arm, dt: float):
         self.arm = arm
         model = copy.copy(arm.model)
@@ -95,7 +93,6 @@ class ServoSimulation:
         return model
 
     def _start(self, log: Log, parameters: ServoParameters) -> Array:
-        """The state at rest where the recording begins."""
         kind = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = self.arm.qpos(log.q[0] - parameters.offset)
@@ -104,10 +101,7 @@ class ServoSimulation:
         return state
 
     def _controls(self, log: Log, delay: float) -> Array:
-        """(steps, nctrl), commands that are held from sample to sample, late by a delay; steps have the mean over them.
-
-        A mean changes continuously with the delay, so that least squares can find it.
-        """
+        """(steps, nctrl), delayed commands: means over steps, which change continuously with the delay, as a fit needs."""
         controls = np.tile(self.arm.home_ctrl, ((len(log) - 1) * self._steps, 1))
         before = delay + log.dt
         times = np.concatenate([[-before], np.arange(len(log)) * log.dt])
@@ -120,7 +114,6 @@ class ServoSimulation:
 
 
 def set_rotors_and_friction(model: mujoco.MjModel, arm: Arm, parameters: ServoParameters) -> None:
-    """Gives a model rotor inertia and dry friction, in place."""
     model.dof_armature[arm.dof_adr] = parameters.armature
     model.dof_frictionloss[arm.dof_adr] = parameters.coulomb_friction
     mujoco.mj_setConst(model, mujoco.MjData(model))

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.validation import Array, IntArray
+from armctl.core.verdict import Verdict
 from armctl.design.state_space import ComplexArray, StateSpace
 
 _MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
@@ -24,7 +25,7 @@ _GAIN_STEPS = 60  # between 1 and the largest gain, geometric
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoopMargins:
+class LoopMargins(Verdict):
     """Margins of the loop of an arm and a controller at one configuration. True if the closed loop is stable.
 
     Delay, gain and phase change in all joints at once. An unstable loop has margins of zero and an infinite peak sensitivity.
@@ -46,9 +47,6 @@ class LoopMargins:
     peak_sensitivity: float
     spectral_radius: float
     reason: str
-
-    def __bool__(self) -> bool:
-        return self.ok
 
 
 def frequency_grid(dt: float, points: int = _GRID_POINTS) -> Array:
@@ -109,17 +107,11 @@ def coarse_grid(dt: float) -> Array:
 
 
 class CoarseMargins(NamedTuple):
-    """Margins of the n eigenvalues and joints of a loop, accurate to 1 %; zero and infinite if the closed loop is unstable.
+    """Margins of the n eigenvalues and joints of a loop, accurate to 1 %; zero and infinite if the closed loop is unstable."""
 
-    Attributes:
-        delay: (n,) s, for the eigenvalues of the loop transfer function in the order of their magnitudes.
-        peak_sensitivity: (n,) of the joints, with the loops of the other joints closed.
-        decisive: Indices of the frequencies that both depend on, as they do after a small change of the loop.
-    """
-
-    delay: Array
-    peak_sensitivity: Array
-    decisive: IntArray
+    delay: Array  # (n,) s, for the eigenvalues of the loop transfer function in the order of their magnitudes
+    peak_sensitivity: Array  # (n,) of the joints, with the loops of the other joints closed
+    decisive: IntArray  # indices of the frequencies that both depend on, as they do after a small change of the loop
 
 
 def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray) -> CoarseMargins:

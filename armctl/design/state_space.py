@@ -32,19 +32,12 @@ _MAX_MODEL_ERROR = 1e-4  # relative; a controller that differs more from its lin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StateSpace:
-    """A discrete linear system x[k + 1] = A x[k] + B u[k], y[k] = C x[k] + D u[k].
+    """A discrete linear system x[k + 1] = A x[k] + B u[k], y[k] = C x[k] + D u[k]."""
 
-    Attributes:
-        A: (k, k).
-        B: (k, inputs).
-        C: (outputs, k).
-        D: (outputs, inputs).
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
+    A: Array  # (k, k)
+    B: Array  # (k, inputs)
+    C: Array  # (outputs, k)
+    D: Array  # (outputs, inputs)
 
     def response(self, inputs: Array) -> Array:
         """(T, outputs), the outputs for (T, inputs), from rest."""
@@ -65,11 +58,8 @@ class StateSpace:
 def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, continuous: bool) -> StateSpace:
     """The linear model of a controller that holds an arm at q: from measured positions and velocities (2n) to torques (n).
 
-    Positions and velocities of deflections follow, if the controller needs them.
-
-    The controller is called like in a simulation, on a copy of it, so its memory need not be known: the model follows from the
-    responses to an impulse in each measured signal, after Ho and Kalman (1966) in the balanced form of Kung (1978). At last the
-    model is compared with the controller on a random signal.
+    Those of deflections follow, if it needs them. The model follows from responses of a copy to impulses, after
+    Ho and Kalman (1966) in the balanced form of Kung (1978), and is compared with the controller on a random signal.
     """
     if has_compiled_law(controller, arm.n) and not controller.needs_wrench:
         law = controller.make_law(dt, continuous)
@@ -93,7 +83,6 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
 
 
 def _static(run: _Run, n: int) -> StateSpace:
-    """The model of a law without memory."""
     sizes = np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], n)
     difference = run(np.diag(sizes)) - run(-np.diag(sizes))
     nothing = np.zeros((0, 0))

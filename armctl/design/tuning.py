@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -15,6 +15,7 @@ from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.observer_gains import observer_gains
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, IntArray, frozen, number, shown
+from armctl.core.verdict import Verdict
 from armctl.design.frequency_response import standstill
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop, coarse_margins_with, coarse_plant
@@ -53,19 +54,12 @@ _RAISE = 1.05  # of the gains of a joint, for the bound that limits it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopFigures:
-    """What a controller achieves: the worst values of all configurations and plants.
+    """What a controller achieves: the worst values of all configurations and plants."""
 
-    Attributes:
-        delay_margin: s.
-        peak_sensitivity: Ms.
-        chatter: N m (N), torque noise at rest with an encoder of 1e-5 rad that velocities are differenced from.
-        compliance: m/N, of the tip at 1 Hz in the worst direction: the error that slow unknown forces and payloads cause.
-    """
-
-    delay_margin: float
-    peak_sensitivity: float
-    chatter: float
-    compliance: float
+    delay_margin: float  # s
+    peak_sensitivity: float  # Ms
+    chatter: float  # N m (N), torque noise at rest with an encoder of 1e-5 rad that velocities are differenced from
+    compliance: float  # m/N, of the tip at 1 Hz in the worst direction: the error that slow unknown forces and payloads cause
 
     def __str__(self) -> str:
         return (
@@ -75,7 +69,7 @@ class LoopFigures:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tuning:
+class Tuning(Verdict):
     """A tuned controller and what limits it. True if it satisfies the bounds.
 
     Attributes:
@@ -97,9 +91,6 @@ class Tuning:
     after: LoopFigures
     reason: str
 
-    def __bool__(self) -> bool:
-        return self.ok
-
     def __str__(self) -> str:
         lines = [f"default: {self.before}"]
         if not self.ok:
@@ -111,12 +102,14 @@ class Tuning:
 
     def to_dict(self) -> dict[str, object]:
         """The figures as plain values for JSON."""
-        figures = {
-            name: {field: getattr(each, field) for field in ("delay_margin", "peak_sensitivity", "chatter", "compliance")}
-            for name, each in (("before", self.before), ("after", self.after))
+        return {
+            "ok": self.ok,
+            "reason": self.reason,
+            "active": list(self.active),
+            "gains": {name: np.asarray(value).tolist() for name, value in self.gains.items()},
+            "before": asdict(self.before),
+            "after": asdict(self.after),
         }
-        gains = {name: np.asarray(value).tolist() for name, value in self.gains.items()}
-        return {"ok": self.ok, "reason": self.reason, "active": list(self.active), "gains": gains, **figures}
 
 
 def tune(
@@ -214,24 +207,14 @@ class _Bounds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Family:
-    """The gains of a law as a function of x, the logarithms of factors on its default gains.
+    """The gains of a law as a function of x, the logarithms of factors on its default gains."""
 
-    Attributes:
-        size: Of x.
-        joints: The elements of x that belong to each joint, or to all joints together.
-        limits: (size, 2) bounds of x.
-        softened: The elements of x that may be smaller in a design's start.
-        scaling: (size,) how all gains grow with the bandwidth: x for a factor f on it is log(f) x scaling.
-        gains: The arguments of the constructor at x.
-        make: The constructor.
-    """
-
-    size: int
-    joints: tuple[tuple[int, ...], ...]
-    limits: Array
-    softened: range
-    scaling: Array
-    gains: Callable[[Array], dict[str, float | Array]]
+    size: int  # of x
+    joints: tuple[tuple[int, ...], ...]  # the elements of x that belong to each joint, or to all joints together
+    limits: Array  # (size, 2) bounds of x
+    softened: range  # the elements of x that may be smaller in a design's start
+    scaling: Array  # (size,) how all gains grow with the bandwidth: x for a factor f on it is log(f) x scaling
+    gains: Callable[[Array], dict[str, float | Array]]  # the arguments of the constructor at x
     make: Callable[..., Controller]
 
     def controller(self, x: Array) -> Controller:
@@ -298,8 +281,6 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Case:
-    """A plant at a configuration, with its transfer function on the coarse grid."""
-
     linearizer: Linearizer
     loop: Loop
     transfer: ComplexArray
@@ -314,8 +295,6 @@ class _Case:
 
 
 class _Design:
-    """Gains within bounds at some configurations."""
-
     def __init__(self, linearizers: Sequence[Linearizer], configurations: Array, bounds: _Bounds):
         self._arm = linearizers[0].arm
         self._linearizers = {str(linearizer.plant): linearizer for linearizer in linearizers}
@@ -328,7 +307,6 @@ class _Design:
         self.add([linearizer.loop_at(static, q) for linearizer in linearizers for q in configurations])
 
     def add(self, loops: Sequence[Loop]) -> None:
-        """Adds the arms of some loops, at their configurations."""
         self._cases += [_Case(self._linearizers[loop.plant], loop, coarse_plant(loop)) for loop in loops]
 
     def start(self, family: _Family) -> Array | None:
@@ -356,11 +334,7 @@ class _Design:
         return within
 
     def improved(self, family: _Family, x: Array, iterations: int) -> Array:
-        """The gains with the least displacement that sequential linear programming finds from gains within the bounds.
-
-        Each step minimizes the linearized displacement within linearized bounds and a trust region (Nocedal and Wright,
-        Numerical Optimization, 2006, 18.5 and 17.2).
-        """
+        """Least displacement by sequential linear programming: Nocedal and Wright, Numerical Optimization, 2006, 18.5, 17.2."""
         from scipy.optimize import linprog
 
         size = _FIRST_STEP
@@ -409,11 +383,7 @@ class _Design:
         return x
 
     def _evaluated(self, controller: Controller, decisive: Mapping[int, IntArray] | None = None) -> tuple[Array, float]:
-        """What is left of the bounds, 2n numbers of each case and one of torque noise, and the logarithm of the displacement.
-
-        Args:
-            decisive: The cases to examine, by their indices, with the frequencies that decide; the others have NaN.
-        """
+        """What is left of the bounds, 2n of each case (NaN if not `decisive`) and one of noise; the log of displacement."""
         size = self._bounds_per_case
         left = np.full(size * len(self._cases) + 1, np.inf if decisive is None else np.nan)
         cost = []
@@ -439,7 +409,6 @@ class _Design:
         return "chatter" if k == len(left) - 1 else ("delay margin", "peak sensitivity")[k // self._arm.n % 2]
 
     def active(self, family: _Family, x: Array) -> tuple[str, ...]:
-        """The bound that higher gains violate, for each joint."""
         found = []
         for indices in map(list, family.joints):
             raised = x.copy()
@@ -464,18 +433,15 @@ class _Judge:
         self.design = _Design(linearizers, given if np.ndim(poses) else sampled, bounds)
 
     def loops(self, controller: Controller) -> list[Loop]:
-        """The loops of a controller."""
         return judged_loops(self.linearizers, controller, self._poses)
 
     def violating(self, loops: Sequence[Loop]) -> list[Loop]:
-        """Those that violate a bound."""
         delay = self._bounds.delay_margin
         peak = self._bounds.peak_sensitivity
         found = [(loop, loop.robustness()) for loop in loops]
         return [loop for loop, each in found if not (each.delay_margin >= delay and each.peak_sensitivity <= peak)]
 
     def figures(self, controller: Controller, loops: Sequence[Loop]) -> LoopFigures:
-        """The worst figures of a controller's loops."""
         found = [loop.robustness() for loop in loops]
         return LoopFigures(
             delay_margin=min(each.delay_margin for each in found),

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, instance
+from armctl.core.verdict import Verdict
 from armctl.design.linearization import linear_arm
 from armctl.design.multisine import joint_index
 from armctl.design.state_space import ComplexArray, StateSpace
@@ -45,7 +46,7 @@ class MeasuredResponse(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TwoMass:
+class TwoMass(Verdict):
     """Two masses fitted to the response of a joint. True if the response shows a spring.
 
     Attributes:
@@ -78,9 +79,6 @@ class TwoMass:
     delay: float
     reason: str
     response: MeasuredResponse = field(repr=False)
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if not self.ok:
@@ -131,7 +129,6 @@ class TwoMass:
 
 
 def _with_springs(arm: Arm, fits: Sequence[TwoMass], plant: Plant) -> Plant:
-    """A plant with the springs of some joints."""
     if not fits:
         return plant
     stiffness = np.zeros(arm.n)
@@ -158,7 +155,6 @@ def _misfit(arm: Arm, fits: Sequence[TwoMass], q: Array, plant: Plant) -> float:
 
 
 def fit_two_mass(response: MeasuredResponse) -> TwoMass:
-    """`FrequencyResponse.two_mass`."""
     if response.of != "plant":
         raise InputError(f"two_mass: it is the {response.of} of {response.joint}; give of='plant' to from_log")
     fit = _Fit(response)

@@ -53,12 +53,6 @@ class Rehearsal:
 
 
 def rehearsal_of(log: Log, checker: CollisionChecker | None) -> Rehearsal:
-    """The figures of a log.
-
-    Args:
-        log: Of a dry run.
-        checker: A collision checker of the arm; None for no clearance.
-    """
     v = np.diff(log.q_ref, axis=0) / log.dt
     a = np.diff(v, axis=0) / log.dt
     j = np.diff(a, axis=0) / log.dt

@@ -14,7 +14,7 @@ from armctl.core.errors import InputError, LinkError, NotInstalledError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, flag, number, vector
 from armctl.links.envelope import Envelope
-from armctl.links.link import Seen
+from armctl.links.link import Link, Seen
 
 _COLLISION_TORQUE = 20.0  # N m, at which the robot stops; the value of Franka's examples
 _COLLISION_FORCE = 20.0  # N
@@ -38,7 +38,7 @@ FR3 = Envelope(
 )
 
 
-class Franka:
+class Franka(Link):
     """A Franka Research 3 with the Franka Control Interface, protocol 10 (system 5.9 and later).
 
     It was tried with simulators of the controller only, never with a robot. Needs the extra `franka`.
@@ -105,15 +105,12 @@ class Franka:
             raise LinkError(f"{self.host}: cannot be opened: {error}") from None
 
     def read(self) -> Seen:
-        """The robot now."""
         return self._seen(self._state())
 
     def tip(self) -> Array | None:
-        """(4, 4) T_base_tip: O_T_EE."""
         return np.array(self._state().O_T_EE).reshape(4, 4).T
 
     def start(self) -> None:
-        """Begins a stream of joint positions."""
         client = _client()
         try:
             self._control = self._opened().start_joint_position_control(client.ControllerMode.JointImpedance)
@@ -124,7 +121,6 @@ class Franka:
         self._intervals = deque([0.0], maxlen=_ROWS_ON_THEIR_WAY)
 
     def wait(self) -> tuple[int, Seen]:
-        """The next tick."""
         client = _client()
         try:
             state, period = self._stream().readOnce()
@@ -140,7 +136,6 @@ class Franka:
         return ticks, self._seen(state)
 
     def send(self, q: Array, last: bool) -> None:
-        """Sends the row of a tick."""
         client = _client()
         command = client.JointPositions(vector("q", q, 7).tolist())
         command.motion_finished = flag("last", last)
@@ -153,7 +148,6 @@ class Franka:
             self._control = None  # the next motion must not find it
 
     def recover(self) -> None:
-        """Clears a reflex."""
         client = _client()
         self._control = None
         try:
@@ -162,7 +156,6 @@ class Franka:
             raise LinkError(f"recover: {error}") from None
 
     def hand(self, action: str, *arguments: float) -> Any:
-        """The Franka Hand."""
         client = _client()
         try:
             if self._hand is None:
@@ -177,7 +170,6 @@ class Franka:
         return state.width, state.max_width, state.is_grasped
 
     def close(self) -> None:
-        """Disconnects."""
         self._control = None
         self._hand = None
         self._robot = None
@@ -217,7 +209,6 @@ def _errors(client: Any) -> tuple[type[Exception], ...]:
 
 
 def _client() -> Any:
-    """Franka's client."""
     try:
         return import_module("pylibfranka")
     except ImportError:

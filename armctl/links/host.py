@@ -1,7 +1,11 @@
-"""LinkHost: opens a link, plays motions on it and keeps its readings, in the planner's process or in one of its own."""
+"""Player: plays motions row by row. What it holds always ends at rest, and a stop never leaves the path.
+
+LinkHost: opens a link, plays motions on it and keeps its readings, in the planner's process or in one of its own.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -11,79 +15,128 @@ from armctl.core.errors import LinkError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.links.link import Link, Seen
-from armctl.links.player import Player
-from armctl.motion.trajectory.piecewise import Pieces
+from armctl.motion.trajectory.path_stop import REST_SPEED, stopped
+from armctl.motion.trajectory.piecewise import Pieces, sample, standing
 
 START_TOLERANCE = 1e-5  # rad, between what the robot was told and the start of a motion; the wire may have single precision
+JOIN_TOLERANCE = 1e-6  # rad, between the end of one motion and the start of the next; single precision is 1e-7
+_NEVER = 2**60
 _IDLE_S = 0.1  # at rest, until a stream ends
 _LEAD_S = 0.02  # between a word and its effect, where time passes by itself
 
 
 class Readings(NamedTuple):
-    """Readings of a stream, one for each tick that was not lost.
+    """Readings of a stream, one for each tick that was not lost."""
 
-    Attributes:
-        tick: (m,)
-        t: (m,) s.
-        q: (m, n) rad.
-        v: (m, n) rad/s.
-        tau: (m, n) N m.
-        sent: (m, n) rad, the rows that were sent.
-    """
-
-    tick: Array
-    t: Array
-    q: Array
-    v: Array
-    tau: Array
-    sent: Array
+    tick: Array  # (m,)
+    t: Array  # (m,) s
+    q: Array  # (m, n) rad
+    v: Array  # (m, n) rad/s
+    tau: Array  # (m, n) N m
+    sent: Array  # (m, n) rad, the rows that were sent
 
 
 class Progress(NamedTuple):
-    """How far a stream is.
-
-    Attributes:
-        tick: The tick of its last row.
-        streaming: Whether it goes on.
-        fault: Why the robot ended it; empty if it did not.
-        stopped: Why it was stopped; empty if it was not.
-        lost: Ticks that were lost since the link was opened.
-        readings: Those since the last question.
-    """
-
-    tick: int
-    streaming: bool
-    fault: str
-    stopped: str
-    lost: int
-    readings: Readings
+    tick: int  # the tick of its last row
+    streaming: bool  # whether it goes on
+    fault: str  # why the robot ended it; empty if it did not
+    stopped: str  # why it was stopped; empty if it was not
+    lost: int  # ticks that were lost since the link was opened
+    readings: Readings  # those since the last question
 
 
 class Played(NamedTuple):
-    """The answer to a motion that is to be played.
+    first: int  # its first tick
+    reason: str = ""  # why it is not played; empty if it is
+    opens: bool = False  # whether it opens a stream, whose ticks begin with 0
 
-    Attributes:
-        first: Its first tick.
-        reason: Why it is not played; empty if it is.
-        opens: Whether it opens a stream, whose ticks begin with 0.
-    """
 
-    first: int
-    reason: str = ""
-    opens: bool = False
+@dataclass(frozen=True, eq=False)
+class _Course:
+    at: int
+    pieces: Pieces
+    rows: Array
+
+    @classmethod
+    def of(cls, at: int, pieces: Pieces, dt: float) -> _Course:
+        ticks = int(np.ceil(pieces.knots[-1] / dt - 1e-9))
+        return cls(at, pieces, sample(pieces, dt * np.arange(ticks + 1, dtype=np.float64)).q)
+
+    def row(self, tick: int) -> Array:
+        return self.rows[min(max(tick - self.at, 0), len(self.rows) - 1)]
+
+
+class Player:
+    """The rows of one stream. `play` and `stop` may be called by another thread than `next`."""
+
+    def __init__(self, q: Array, dt: float, limits: Limits, lead: int):
+        """A player that stands at q. A word, such as a stop, has its effect after `lead` ticks: a stop has to be planned."""
+        self.tick = -1  # the tick of the last row; -1 before the first
+        self.dt = dt  # s
+        self._limits = limits
+        self._lead = lead
+        self._lock = Lock()
+        self._courses = [_Course.of(0, standing(q), dt)]  # each until the next one begins
+        self._stopped_from = _NEVER
+
+    @property
+    def end(self) -> int:
+        """The first tick at which it rests, if nothing changes."""
+        with self._lock:
+            last = self._courses[-1]
+            return last.at + len(last.rows) - 1
+
+    def next(self, ticks: int = 1) -> Array:
+        with self._lock:
+            self.tick += ticks
+            while len(self._courses) > 1 and self._courses[1].at <= self.tick:
+                self._courses.pop(0)
+            return self._courses[0].row(self.tick)
+
+    def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> tuple[int, str]:
+        """Replaces what follows a tick by a motion to rest: its first tick, and why it is not played."""
+        if np.abs(sample(pieces, pieces.knots[-1:]).v).max() > REST_SPEED:
+            return 0, "the motion does not end at rest"
+        with self._lock:
+            first = self.tick + max(self._lead, delay) if at is None else at
+            if self._stopped_from <= first:
+                return first, "the arm was stopped"
+            if first <= self.tick:
+                return first, f"the motion came {self.dt * (self.tick - first + 1):.3f} s too late"
+            before = self._courses[-1]
+            if first < before.at:
+                return first, "the motion starts before the one that was sent last"
+            course = _Course.of(first, pieces, self.dt)
+            gap = float(np.abs(course.rows[0] - before.row(first)).max())
+            if gap > JOIN_TOLERANCE:
+                return first, f"the motion starts {gap:.2g} rad from where the last one is then"
+            self._courses.append(course)
+        return first, ""
+
+    def stop(self) -> None:
+        """Stops on the path, as soon as the limits allow; motions that come later are not played."""
+        lead = self._lead
+        while self._stopped_from == _NEVER:
+            with self._lock:
+                tick = self.tick + lead
+                course = [each for each in self._courses if each.at <= tick][-1]
+            t = self.dt * (tick - course.at)
+            braked = course
+            if t < course.pieces.knots[-1]:
+                braked = _Course.of(course.at, stopped(course.pieces, self._limits, t), self.dt)
+            with self._lock:
+                if self.tick < tick and course in self._courses:
+                    self._courses = [*self._courses[: self._courses.index(course)], braked]
+                    self._stopped_from = tick
+            lead *= 2  # if planning the stop took too long
 
 
 class LinkHost:
-    """A link with the player of its stream. `play`, `stop` and `poll` may be called by another thread than `advance`.
-
-    Attributes:
-        link: Open after `open`.
-        streaming: Whether a stream is open.
-    """
+    """A link with the player of its stream. `play`, `stop` and `poll` may be called by another thread than `advance`."""
 
     def __init__(self, link: Link):
         self.link = link
-        self.streaming = False
+        self.streaming = False  # whether a stream is open
         self._lock = Lock()
         self._player: Player | None = None
         self._last: Seen | None = None
@@ -95,38 +148,23 @@ class LinkHost:
         self._lead = max(lead, 1)
 
     def open(self) -> None:
-        """Connects."""
         self.link.open()
 
     def read(self) -> Seen:
-        """The robot now."""
         return self._last if self.streaming and self._last is not None else self.link.read()
 
     def tip(self) -> Array | None:
-        """(4, 4) by the maker's kinematics, or None."""
         return self.link.tip()
 
     def recover(self) -> None:
-        """Clears a fault."""
         self.link.recover()
         self._fault = ""
 
     def hand(self, action: str, *arguments: float) -> Any:
-        """What a hand does or tells."""
         return self.link.hand(action, *arguments)
 
     def play(self, pieces: Pieces, at: int | None, limits: Limits, delay: int = 0) -> Played:
-        """Plays a motion: opens a stream, or replaces what follows a tick of the open one.
-
-        Args:
-            pieces: A motion to rest.
-            at: Its first tick in the open stream; None for the next possible one, or for a new stream.
-            limits: What stops keep.
-            delay: Ticks until a motion without a tick begins, at least: the time for planning what replaces it.
-
-        Raises:
-            LinkError: The robot reports a fault.
-        """
+        """Plays a motion to rest from a tick of the open stream, or after some ticks; opens a stream if there is none."""
         with self._lock:
             if self.streaming and self._player is not None:
                 return Played(*self._player.play(pieces, at, delay))
@@ -158,14 +196,12 @@ class LinkHost:
         return Played(first, opens=True)
 
     def stop(self, reason: str) -> None:
-        """Brakes on the path."""
         player = self._player
         if self.streaming and player is not None:
             self._stopped = self._stopped or reason
             player.stop()
 
     def advance(self) -> None:
-        """One tick of the open stream."""
         player = self._player
         assert player is not None
         try:
@@ -203,5 +239,4 @@ class LinkHost:
         return Progress(tick, streaming, self._fault, self._stopped, self._lost, readings)
 
     def close(self) -> None:
-        """Disconnects."""
         self.link.close()

@@ -37,79 +37,42 @@ _STOPPED = "the arm was stopped on its path"
 
 @dataclass
 class _Stream:
-    """What the drive knows of an open stream.
-
-    Attributes:
-        next: The tick after the rows that were sent.
-        moves: Whether the motion goes on at that tick.
-        course: The motion that was sent last.
-        at: Its first tick.
-        before: (3, n) rad, the rows before `next`.
-        tick: The tick of the last row that was played.
-    """
-
-    before: Array
-    next: int = 0
-    moves: bool = False
-    course: Pieces | None = None
-    at: int = 0
-    tick: int = -1
+    before: Array  # (3, n) rad, the rows before `next`
+    next: int = 0  # the tick after the rows that were sent
+    moves: bool = False  # whether the motion goes on at that tick
+    course: Pieces | None = None  # the motion that was sent last
+    at: int = 0  # its first tick
+    tick: int = -1  # the tick of the last row that was played
 
 
 @dataclass
 class _Segment:
-    """Readings of one stream, and the ticks among them that belong to a run.
+    """Readings of one stream, and the ticks among them that belong to a run."""
 
-    Attributes:
-        first: The first tick.
-        end: The tick after the last one; None where the arm was stopped: then until it rests.
-        readings: Those of the stream, in the order of time.
-    """
-
-    first: int
-    end: int | None
-    readings: list[Readings] = field(default_factory=list)
+    first: int  # the first tick
+    end: int | None  # the tick after the last one; None where the arm was stopped: then until it rests
+    readings: list[Readings] = field(default_factory=list)  # those of the stream, in the order of time
 
 
 class LinkDrive:
-    """A robot as the drive of an arm's commands.
-
-    Attributes:
-        actuation: The arm's joints.
-        model: A copy of the arm's model.
-        data: Its mirror: the joints where the robot measures them, all else where the model has it.
-        dt: s, the tick.
-        continuous: True: a robot moves between ticks.
-        failure: Why the last run ended early; empty if it did not.
-        fault: Why the robot takes no motion until `recover`; empty if it does.
-        envelope: What every row is checked against.
-        tip_speed: m/s, the greatest that is sent.
-        lost: Ticks that were lost since the link was opened.
-    """
+    """A robot as the drive of an arm's commands; its `data` mirrors the joints as measured, and all else as in the model."""
 
     continuous = True
 
     def __init__(self, arm: Arm, host: LinkHost | RemoteHost, link: Link, envelope: Envelope, tip_speed: float):
-        """A drive of an arm with the limits of its motions.
-
-        Args:
-            host: The host of the link, which is open.
-            envelope: As the attribute.
-            tip_speed: As the attribute.
-        """
-        self.actuation = arm.actuation
-        self.model = copy.copy(arm.model)
+        self.actuation = arm.actuation  # the arm's joints
+        self.model = copy.copy(arm.model)  # a copy of the arm's model
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = arm.home_qpos
-        self.dt = link.dt
+        self.dt = link.dt  # s, the tick
         self.description = f"robot: {link.name}"
-        self.failure = ""
-        self.fault = ""
-        self.tip_speed = tip_speed
-        self.lost = 0
+        self.failure = ""  # why the last run ended early; empty if it did not
+        self.fault = ""  # why the robot takes no motion until `recover`; empty if it does
+        self.tip_speed = tip_speed  # m/s, the greatest that is sent
+        self.lost = 0  # ticks that were lost since the link was opened
         self._arm = arm
         self._host = host
-        self.envelope = envelope
+        self.envelope = envelope  # what every row is checked against
         self._passes_time = link.passes_time
         self._rest_speed = link.rest_speed
         self._tips = ReferenceTips()
@@ -124,7 +87,6 @@ class LinkDrive:
 
     @property
     def n(self) -> int:
-        """The number of joints."""
         return self.actuation.n
 
     @property
@@ -154,7 +116,6 @@ class LinkDrive:
         return State(self._past[-1][1], self._v, float(self.data.time), self.dt, True)
 
     def tip_pose(self, arm: Arm) -> Pose:
-        """T_world_tip by the measured positions."""
         return arm.fk(self.state.q)
 
     def is_still(self, joints: slice) -> bool:
@@ -166,17 +127,14 @@ class LinkDrive:
         return bool(np.abs(q - self._past[0][1])[joints].max() < self._rest_speed * window)
 
     def recorder(self) -> Recorder:
-        """A recorder for a run."""
         return _LinkRecorder(self)
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
-        """The first ticks of a trajectory."""
         rows = TickReference.of(trajectory, self.dt, ticks, self.continuous)
         self._trajectory = (rows, trajectory)
         return rows
 
     def hold_reference(self, seconds: float) -> TickReference:
-        """A reference that stays where the last one ended."""
         still = np.zeros((max(1, round(seconds / self.dt)), self.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
@@ -187,17 +145,7 @@ class LinkDrive:
         recorder: Recorder,
         to_rest: Pieces | None = None,
     ) -> None:
-        """Checks a motion, has it played, and mirrors and records what the robot measures.
-
-        Args:
-            controller: Not used: the robot has its own.
-            reference: The reference of each tick.
-            recorder: Where the ticks are recorded.
-            to_rest: The motion that begins with the reference and ends at rest; None if the reference itself does.
-
-        Raises:
-            LinkError: The robot reported a fault before, or the link failed.
-        """
+        """Checks a reference, or the motion `to_rest` that it begins; has it played, mirrors and records it."""
         if self.fault:
             raise LinkError(self.blocked)
         assert isinstance(recorder, _LinkRecorder)
@@ -246,11 +194,7 @@ class LinkDrive:
         return np.concatenate([part.t for segment in recorder.segments for part in segment.readings] or [np.zeros(0)])
 
     def come_to_rest(self, *, stop: bool) -> None:
-        """Waits until the arm rests.
-
-        Args:
-            stop: Whether it brakes on its path.
-        """
+        """Waits until the arm rests; with `stop` it brakes on its path."""
         segment = self._recorder.segments[-1] if self._recorder is not None and self._recorder.segments else None
         try:
             if stop and self._stream is not None:
@@ -272,21 +216,12 @@ class LinkDrive:
             self._lose(str(error))
 
     def recover(self) -> None:
-        """Clears a fault of the robot.
-
-        Raises:
-            LinkError: The fault cannot be cleared.
-        """
         self._host.recover()
         self.fault = ""
         self.failure = ""
 
     def refusal(self, course: Pieces) -> str:
-        """Why a motion must not be sent; empty if it may.
-
-        Args:
-            course: A motion from now on, or one that continues the present one.
-        """
+        """Why a motion from now on, or one that continues the present one, must not be sent; empty if it may."""
         ticks = int(np.ceil(course.knots[-1] / self.dt - 1e-9))
         rows = sample(course, self.dt * np.arange(ticks + 2, dtype=np.float64)).q
         reason = self.envelope.refusal(rows, self._rows_before(rows[0]), self.dt)
@@ -338,7 +273,6 @@ class LinkDrive:
             self._watch()
 
     def _watch(self) -> None:
-        """Takes what the robot sent since the last time."""
         progress = self._host.poll()
         readings = progress.readings
         self.lost = progress.lost
@@ -358,13 +292,11 @@ class LinkDrive:
             self._end = readings.sent[-1]
 
     def _lose(self, fault: str) -> None:
-        """Notes a fault, which stays until `recover`."""
         self._stream = None
         self.fault = fault
         self.failure = fault
 
     def _see(self, t: float, q: Array, v: Array) -> None:
-        """Mirrors a reading."""
         self._v = v
         self._past.append((t, q))
         while len(self._past) > 2 and t - self._past[1][0] > _REST_WINDOW_S:
@@ -376,22 +308,16 @@ class LinkDrive:
 
 
 class _LinkRecorder(Recorder):
-    """Readings of a run, which become rows when the log is made: what was sent, and what was measured then.
-
-    Attributes:
-        began: Whether a run was begun, even if nothing was sent.
-        segments: Its readings, by stream.
-    """
+    """Readings of a run, which become rows when the log is made: what was sent, and what was measured then."""
 
     def __init__(self, drive: LinkDrive):
         super().__init__(drive.model, drive.actuation, drive._tips)
-        self.began = False
-        self.segments: list[_Segment] = []
+        self.began = False  # whether a run was begun, even if nothing was sent
+        self.segments: list[_Segment] = []  # its readings, by stream
         self._drive = drive
 
     @property
     def has_begun(self) -> bool:
-        """Whether a run was begun, even if nothing was sent."""
         return self.began
 
     def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = slice(0, 6)) -> Log:
@@ -402,7 +328,6 @@ class _LinkRecorder(Recorder):
         return super().log(arm, run, joints, wrench)
 
     def _add(self, segment: _Segment) -> None:
-        """The rows of one stream."""
         drive = self._drive
         parts = [part for part in segment.readings if len(part.tick)]
         if not parts:

@@ -17,8 +17,8 @@ from armctl.core.errors import LinkError
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, flag, instance, integer, vector
 from armctl.links.envelope import Envelope
-from armctl.links.link import Seen
-from armctl.links.model_check import base_pose
+from armctl.links.link import Link, Seen
+from armctl.links.link_check import base_pose
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.gripper.gripper import Gripper
 from armctl.sim.plant import Plant, read_plant
@@ -27,7 +27,7 @@ from armctl.sim.stepper import Stepper
 _MAX_CONTINUED_TICKS = 20  # without a row, that the servo goes on as before
 
 
-class PlantLink:
+class PlantLink(Link):
     """A simulated robot with its own servo, computed torque, which knows the positions that it was sent and nothing else.
 
     Attributes:
@@ -98,7 +98,6 @@ class PlantLink:
         self._fault = ""
 
     def open(self) -> None:
-        """Makes the simulated robot."""
         self._stepper = Stepper([self._arm], self.plant)
         self._stepper.reset(self.q_start)
         self._servo = ComputedTorque(self._arm)
@@ -120,12 +119,10 @@ class PlantLink:
         return self._seen()
 
     def tip(self) -> Array | None:
-        """(4, 4) T_base_tip of the simulated arm."""
         stepper = self._simulation()
         return base_pose(self._arm).inverse().matrix @ stepper.tip_pose(self._arm).matrix
 
     def start(self) -> None:
-        """Begins a stream."""
         if self._fault:
             raise LinkError(self._fault)
         self._due = time.monotonic()
@@ -133,7 +130,6 @@ class PlantLink:
         self._streaming = True
 
     def wait(self) -> tuple[int, Seen]:
-        """The next tick."""
         ticks = 1 + self._lost.pop(self.sent, 0)
         if not self.passes_time:
             self._due += self.dt
@@ -151,7 +147,6 @@ class PlantLink:
         return ticks, self._seen()
 
     def send(self, q: Array, last: bool) -> None:
-        """Takes the row of a tick."""
         if self._fault:
             raise LinkError(self._fault)
         q = vector("q", q, self._arm.n)
@@ -168,14 +163,12 @@ class PlantLink:
             self._pending = 0
 
     def recover(self) -> None:
-        """Clears a fault."""
         self._fault = ""
         stepper = self._simulation()
         stepper.failure = ""
         self._hold(stepper.state.q)
 
     def hand(self, action: str, *arguments: float) -> Any:
-        """The gripper of the model."""
         if self._gripper is None:
             self._gripper = Gripper(self._arm, self._simulation(), lambda seconds: self._pass(max(1, round(seconds / self.dt))))
         if action == "read":
@@ -183,7 +176,6 @@ class PlantLink:
         return bool(getattr(self._gripper, action)(*arguments))
 
     def close(self) -> None:
-        """Ends the simulation."""
         if self._record is not None:
             self._record.close()
 

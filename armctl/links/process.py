@@ -77,7 +77,6 @@ def _listen(connection: Connection, host: LinkHost, lease: float, calls: SimpleQ
 
 
 def _answer(connection: Connection, host: LinkHost, word: str, arguments: tuple[Any, ...]) -> None:
-    """Calls a method of the host and sends what it returns or raises."""
     try:
         answer = getattr(host, word)(*arguments)
     except ArmctlError as error:
@@ -92,11 +91,7 @@ class RemoteHost:
     """A LinkHost in a process of its own, with the same methods."""
 
     def __init__(self, link: Link, lease: float):
-        """Starts the process.
-
-        Args:
-            lease: s without a word after which the arm brakes.
-        """
+        """Starts the process, which brakes the arm after `lease` s without a word."""
         self._connection, other = Pipe()
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self._process = subprocess.Popen(
@@ -110,35 +105,28 @@ class RemoteHost:
         self._connection.send((link, lease))
 
     def open(self) -> None:
-        """Connects."""
         self._call("open")
 
     def read(self) -> Seen:
-        """The robot now."""
         return self._call("read")
 
     def tip(self) -> Array | None:
-        """(4, 4) by the maker's kinematics, or None."""
         return self._call("tip")
 
     def recover(self) -> None:
-        """Clears a fault."""
         self._call("recover")
 
     def hand(self, action: str, *arguments: float) -> Any:
-        """What a hand does or tells."""
         return self._call("hand", action, *arguments)
 
     def play(self, pieces: Pieces, at: int | None, limits: Limits, delay: int = 0) -> Played:
-        """As that of a LinkHost."""
         return self._call("play", pieces, at, limits, delay)
 
     def stop(self, reason: str) -> None:
-        """Brakes on the path."""
         self._call("stop", reason)
 
     def poll(self) -> Progress:
-        """As that of a LinkHost; it is the word that keeps the lease."""
+        """It is the word that keeps the lease."""
         return self._call("poll")
 
     def close(self) -> None:

@@ -25,9 +25,8 @@ from armctl.links.envelope import envelope_of
 from armctl.links.hand import Hand
 from armctl.links.host import LinkHost
 from armctl.links.link import Link, check_link
-from armctl.links.link_check import LinkCheck, link_check_of
+from armctl.links.link_check import LinkCheck, link_check_of, model_refusal, tip_difference
 from armctl.links.link_drive import LinkDrive
-from armctl.links.model_check import model_refusal, tip_difference
 from armctl.links.process import RemoteHost
 from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET
@@ -102,20 +101,16 @@ class Robot(Commands):
         self.link = link
         arm = model.with_limits(envelope.planning_limits(model.limits, speed))
         self._lock = _lock(link.address)
-        try:
+        with contextlib.ExitStack() as failed:
+            failed.callback(self._unlock)
             self._host = LinkHost(link) if link.passes_time else RemoteHost(link, LEASE_S)
-            try:
-                self._host.open()
-                refusal = model_refusal(model, self._host.read(), self._host.tip(), link.payload, payload)
-                if refusal:
-                    raise LinkError(refusal)
-                self._drive = LinkDrive(arm, self._host, link, envelope, tip_speed)
-            except BaseException:
-                self._host.close()
-                raise
-        except BaseException:
-            self._unlock()
-            raise
+            failed.callback(self._host.close)
+            self._host.open()
+            refusal = model_refusal(model, self._host.read(), self._host.tip(), link.payload, payload)
+            if refusal:
+                raise LinkError(refusal)
+            self._drive = LinkDrive(arm, self._host, link, envelope, tip_speed)
+            failed.pop_all()
         super().__init__(ControlledArms([arm], {arm.tip: _OwnServo(link.name)}, self._drive))
         self._settle = link.settle
         self._closed = False
@@ -181,11 +176,9 @@ class Robot(Commands):
             self._unlock()
 
     def __enter__(self) -> Robot:
-        """The robot itself."""
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Closes."""
         self.close()
 
     def run(self, trajectory: Trajectory, dwell: float = 0.0) -> Log:
@@ -269,7 +262,6 @@ class Robot(Commands):
         return result
 
     def _rehearsed(self, log: Log) -> Log:
-        """Prints and keeps the figures of a dry run."""
         if isinstance(self.link, DryRun):
             rehearsal = rehearsal_of(log, self._obstacles.checker())
             self.link.rehearsals.append(rehearsal)
@@ -309,16 +301,11 @@ class _OwnServo:
         self.name = name
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """Never called."""
         raise LinkError("the robot's own servo computes its torques")
 
 
 def _lock(address: str) -> IO[str] | None:
-    """A lock on a robot for this process, released when it ends; None for a simulation.
-
-    Raises:
-        LinkError: Another program on this computer has the robot.
-    """
+    """A lock on a robot for this process, released when it ends; None for a simulation."""
     if not address:
         return None
     import fcntl

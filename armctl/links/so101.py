@@ -1,22 +1,36 @@
-"""SO-100 and SO-101: goal positions of Feetech STS3215 servos on a serial bus, 50 times a second."""
+"""SO-100 and SO-101: goal positions of Feetech STS3215 servos on a serial bus, 50 times a second.
+
+Packets carry numbered registers. Feetech's client has no wheels.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from armctl.core.errors import InputError, LinkError
+from armctl.core.errors import InputError, LinkError, NotInstalledError
 from armctl.core.validation import Array, IntArray, vector
 from armctl.links.envelope import Envelope, envelope_of
-from armctl.links.link import Seen
-from armctl.links.servo_bus import ServoBus
+from armctl.links.link import Link, Seen
 from armctl.robot.arm import Arm, check_arm
 
+# The bus.
+_BAUD = 1_000_000
+_READ = 0x02
+_WRITE = 0x03
+_SYNC_READ = 0x82
+_SYNC_WRITE = 0x83
+_EVERYBODY = 0xFE
+_HEADER = b"\xff\xff"
+_OVERHEAD = 6  # bytes of an answer beside its data: header, servo, length, error, checksum
+_ANSWER_S = 0.02  # a USB adapter waits for up to 16 ms
+_TRIES = 3  # of a request: the bus of a busy computer loses an answer now and then
 # Feetech's memory table of the STS3215.
 _MODEL = 3
 _STS3215 = 777
@@ -37,15 +51,13 @@ _BLOCKED_S = 0.3
 
 
 class _Servo(NamedTuple):
-    """One row of a calibration file."""
-
     id: int
     offset: int
     middle: float
     travel: int
 
 
-class SO101:
+class SO101(Link):
     """An SO-100 or SO-101 arm on a serial port. Needs the extra `so101`, and a calibration by LeRobot.
 
     It was tried with a simulated bus only, never with a robot. The servos protect nothing: they run to any goal at once. The
@@ -116,7 +128,6 @@ class SO101:
         self._told = self._angles(counts)
 
     def read(self) -> Seen:
-        """The arm now."""
         rows = self._present()
         speeds = [_signed(int(speed), 15) for speed in rows[:, 1]]
         v = np.array(speeds) * (2.0 * np.pi / _COUNTS)
@@ -130,17 +141,14 @@ class SO101:
         )
 
     def tip(self) -> Array | None:
-        """None: the arm does not tell."""
         return None
 
     def start(self) -> None:
-        """Begins a stream."""
         self._open_bus()
         self._due = time.monotonic()
         self._behind_since[:] = np.inf
 
     def wait(self) -> tuple[int, Seen]:
-        """The next tick."""
         self._open_bus()
         ticks = 1
         self._due += self.dt
@@ -155,7 +163,6 @@ class SO101:
         return ticks, seen
 
     def send(self, q: Array, last: bool) -> None:
-        """Sends the row of a tick."""
         q = vector("q", q, len(_JOINTS))
         self._write(np.rint((q - self._q_middle) * (_COUNTS / (2.0 * np.pi)) + self._middle).astype(np.int64))
         self._told = q
@@ -193,11 +200,9 @@ class SO101:
         return np.frombuffer(b"".join(data), "<u2").reshape(len(self._ids), -1).astype(np.int64)
 
     def _counts(self) -> IntArray:
-        """The present positions."""
         return self._present()[:, 0]
 
     def _write(self, counts: IntArray) -> None:
-        """Writes the goals of all servos in one packet, which nobody answers."""
         outside = (counts < 0) | (counts >= _COUNTS)
         if outside.any():
             joint = self._names[int(outside.argmax())]
@@ -226,11 +231,7 @@ class SO101:
 
 
 def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
-    """The servos of the five joints, by a calibration file of LeRobot, compared with the model.
-
-    Raises:
-        InputError: There is no such file, it is no calibration, or the travel of a joint is not that of the model.
-    """
+    """The servos of the five joints, by a calibration file of LeRobot, compared with the model."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -263,5 +264,73 @@ def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
 
 
 def _signed(value: int, sign_bit: int) -> int:
-    """A number of a sign and a magnitude."""
     return -(value & ~(1 << sign_bit)) if value >> sign_bit & 1 else value
+
+
+class ServoBus:
+    """An open serial port with servos on it. LinkError if it cannot be opened or is gone, or a servo does not answer."""
+
+    def __init__(self, port: str):
+        try:
+            serial: Any = import_module("serial")
+        except ImportError:
+            raise NotInstalledError.of_extra("links to an SO-101 need pyserial", "so101") from None
+        self.port = port
+        try:
+            self._line = serial.Serial(port, _BAUD, timeout=_ANSWER_S, write_timeout=_ANSWER_S)
+        except OSError as error:
+            raise LinkError(f"{port}: cannot be opened: {error.strerror or error}") from None
+
+    def read(self, servo: int, address: int, size: int) -> int:
+        answers = self._asked(servo, _READ, bytes([address, size]), [servo], size)
+        return int.from_bytes(answers[0], "little")
+
+    def read_all(self, servos: list[int], address: int, size: int) -> list[bytes]:
+        """The same `size` bytes of several servos, by one request."""
+        return self._asked(_EVERYBODY, _SYNC_READ, bytes([address, size, *servos]), servos, size)
+
+    def write(self, servo: int, address: int, value: int) -> None:
+        """Writes a register of one byte."""
+        self._asked(servo, _WRITE, bytes([address, value]), [servo], 0)
+
+    def write_all(self, address: int, values: dict[int, int]) -> None:
+        """Writes a register of two bytes of several servos in one packet, which nobody answers."""
+        rows = [bytes([servo]) + value.to_bytes(2, "little") for servo, value in values.items()]
+        try:
+            self._send(_EVERYBODY, _SYNC_WRITE, bytes([address, 2]) + b"".join(rows))
+        except OSError as error:
+            raise LinkError(f"{self.port}: {error.strerror or error}") from None
+
+    def close(self) -> None:
+        self._line.close()
+
+    def _asked(self, to: int, instruction: int, parameters: bytes, servos: list[int], size: int) -> list[bytes]:
+        """The data of the answers of `servos`. Answers carry no number: what came late is thrown away before the next try."""
+        silent = servos[0]
+        for attempt in range(_TRIES):
+            try:
+                if attempt:
+                    time.sleep(0.5 * _ANSWER_S)
+                self._line.reset_input_buffer()
+                self._send(to, instruction, parameters)
+                answers = [self._answer(servo, size) for servo in servos]
+            except OSError as error:
+                raise LinkError(f"{self.port}: {error.strerror or error}") from None
+            if None not in answers:
+                return [data for data in answers if data is not None]
+            silent = servos[answers.index(None)]
+        raise LinkError(f"{self.port}: servo {silent} does not answer")
+
+    def _send(self, to: int, instruction: int, parameters: bytes) -> None:
+        body = bytes([to, len(parameters) + 2, instruction]) + parameters
+        self._line.write(_HEADER + body + bytes([_checksum(body)]))
+
+    def _answer(self, servo: int, size: int) -> bytes | None:
+        """The data of one answer; None if it did not come whole."""
+        packet = self._line.read(size + _OVERHEAD)
+        is_whole = len(packet) == size + _OVERHEAD and packet.startswith(_HEADER + bytes([servo, size + 2]))
+        return packet[5:-1] if is_whole and packet[-1] == _checksum(packet[2:-1]) else None
+
+
+def _checksum(body: bytes) -> int:
+    return ~sum(body) & 0xFF

@@ -348,10 +348,7 @@ class Arm:
         if mass > 0.0:
             add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        body = build_pinocchio_model(
-            model, self.pinocchio_model.chain_length, self.joint_map, self.home_qpos, self.tip_body, self.T_body_tip
-        )
-        return replace(self, model=model, pinocchio_model=body)
+        return with_model(self, model)
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r}, {self.n} joints, tip {self.tip!r})"
@@ -363,6 +360,13 @@ class Arm:
             for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True))
         ]
         return f"<p>{html.escape(repr(self))}</p>{Table(['joint', 'unit', *columns], rows).html()}"
+
+
+def with_model(arm: Arm, model: mujoco.MjModel) -> Arm:
+    """An arm with another MuJoCo model of the same robot."""
+    chain = arm.pinocchio_model.chain_length
+    body = build_pinocchio_model(model, chain, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip)
+    return replace(arm, model=model, pinocchio_model=body)
 
 
 def check_arm(arm: object) -> None:

@@ -28,43 +28,28 @@ _WAY_SHARES = (0.5, 0.25, 0.12, 0.0)  # of the way to a place that is refused; s
 
 
 class Refused(NamedTuple):
-    """Why a motion is refused.
-
-    Attributes:
-        time: s into the motion, when the reason occurs; infinite if that is not known.
-        reason: What is in the way, for example.
-    """
-
-    time: float
-    reason: str
+    time: float  # s into the motion, when the reason occurs; infinite if that is not known
+    reason: str  # what is in the way, for example
 
 
 class CommittedMotion:
-    """Plans motions of an arm that keep all limits and end at rest, and that nobody refuses.
-
-    Attributes:
-        checker: Proves motions free of contact; None if contacts are allowed.
-        refusal: Why a motion, as polynomials from now on, may not be made; empty if it may. None if all may.
-        obstacle: Why the last motion that was wanted was refused; empty if it was not.
-    """
+    """Plans motions of an arm that keep all limits and end at rest, and that nobody refuses."""
 
     def __init__(self, arm: Arm, checker: CollisionChecker | None = None, refusal: Callable[[Pieces], str] | None = None):
         self._limits = arm.limits
         limits = arm.limits
         self._solvers = [ProfileSolver(limits.v_max, s * limits.a_max, s**2 * limits.j_max) for s in _SLOWER]
+        self._zero = [0.0] * arm.n
         self._q_min = (limits.q_min - POSITION_TOLERANCE).tolist()
         self._q_max = (limits.q_max + POSITION_TOLERANCE).tolist()
         self._dynamics = InverseDynamics(arm)
         self._tau_max = (1 - _TORQUE_MARGIN) * limits.tau_max
-        self.checker = checker
-        self.refusal = refusal
-        self.obstacle = ""
+        self.checker = checker  # proves motions free of contact; None if contacts are allowed
+        self.refusal = refusal  # why a motion, as polynomials from now on, may not be made; empty if it may. None if all may
+        self.obstacle = ""  # why the last motion that was wanted was refused; empty if it was not
 
     def plan(self, start: JointState, now: float, knots: Knots) -> Pieces | None:
-        """A motion from a state to the wanted ones, over times that begin at 0; None if none was found.
-
-        Where `obstacle` names what is in the way, the motion stops before it, or there is none.
-        """
+        """A motion through the wanted states, over times from 0, that stops before an `obstacle`; None if none was found."""
         self.obstacle = ""
         for solver in self._solvers:
             pieces = self._motion(solver, start, now, knots)
@@ -135,10 +120,6 @@ class CommittedMotion:
         profile = self._profile(solver, state, knots.rest) or self._inside(solver.stop(state))
         return None if profile is None else joined([*parts, profile.pieces(state)])
 
-    @property
-    def _zero(self) -> list[float]:
-        return [0.0] * len(self._q_min)
-
     def _profile(self, solver: ProfileSolver, start: JointState, goal: Array) -> Profile | None:
         """The fastest motion to rest at a place that stays inside the position limits; None if there is none."""
         end = JointState(goal.tolist(), self._zero, self._zero)
@@ -193,7 +174,6 @@ def _shorter(knots: Knots, start: JointState, count: int) -> Iterator[Knots]:
 
 
 def end_state(pieces: Pieces) -> JointState:
-    """The state in which a motion ends."""
     q, v, a = np.array(basis(float(pieces.knots[-1] - pieces.knots[-2]))) @ pieces.coefficients[-1]
     return JointState(q, v, a)
 

@@ -29,22 +29,14 @@ _MAX_INTERVAL_S = 0.2
 
 
 class Knots(NamedTuple):
-    """The wanted states at some times, and where the arm rests afterwards.
+    """The wanted states at some times, and where the arm rests afterwards."""
 
-    Attributes:
-        t: (K,) s, increasing.
-        q: (K, n) rad.
-        v: (K, n) rad/s.
-        a: (K, n) rad/s^2.
-        rest: (n,) rad.
-        joins: Which states a motion may follow, the best first: all of a slice, or of one without an end the first ones.
-    """
-
-    t: Array
-    q: Array
-    v: Array
-    a: Array
-    rest: Array
+    t: Array  # (K,) s, increasing
+    q: Array  # (K, n) rad
+    v: Array  # (K, n) rad/s
+    a: Array  # (K, n) rad/s^2
+    rest: Array  # (n,) rad
+    # Which states a motion may follow, the best first: all of a slice, or of one without an end the first ones.
     joins: tuple[slice, ...]
 
     @classmethod
@@ -55,17 +47,13 @@ class Knots(NamedTuple):
 
 
 class TimedTargets:
-    """The history of single targets, which is extrapolated, or the rows of a chunk, which are interpolated.
-
-    Attributes:
-        rest: (n,) rad, the newest target, where the arm rests if nothing more arrives.
-    """
+    """The history of single targets, which is extrapolated, or the rows of a chunk, which are interpolated."""
 
     def __init__(self, q: Array, v_max: Array, a_max: Array):
         """No targets: an arm with these limits, each (n,), rests at q (n,)."""
         self._v_max = v_max
         self._a_max = a_max
-        self.rest = q
+        self.rest = q  # (n,) rad, the newest target, where the arm rests if nothing more arrives
         self._history: deque[tuple[float, Array]] = deque(maxlen=_FITS[-1][0] + _JUDGED_AHEAD)
         self._errors = np.zeros(len(_FITS))
         self._chunk: tuple[Array, Array] | None = None

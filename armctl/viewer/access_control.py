@@ -38,11 +38,7 @@ _NOTEBOOK_FRAMES = {"Content-Security-Policy": "frame-ancestors http://localhost
 
 
 def check_token(token: str) -> str:
-    """The token, if it is long enough and can be part of an address.
-
-    Raises:
-        InputError: It is too short.
-    """
+    """The token, if it is long enough and can be part of an address."""
     if len(token) < MIN_TOKEN_LENGTH:
         raise InputError(f"token: expected at least {MIN_TOKEN_LENGTH} characters, got {len(token)}")
     return token
@@ -65,11 +61,6 @@ class AccessControl:
         *,
         in_notebook: bool = False,
     ):
-        """Access control for one page, with the arguments of its `WebScene`.
-
-        Raises:
-            InputError: The token is too short.
-        """
         self.in_notebook = in_notebook
         self._token = None if token is None else check_token(token).encode()
         self._cookie_name = f"armctl-{port}"  # cookies do not distinguish ports, so the name does
@@ -95,14 +86,13 @@ class AccessControl:
         return f"/?token={code}"
 
     def add_client(self, connection: ServerConnection) -> bool:
-        """Counts a client; False if there are too many."""
+        """False if there are too many."""
         if len(self._clients) >= MAX_CLIENTS:
             return False
         self._clients.add(connection)
         return True
 
     def remove_client(self, connection: ServerConnection) -> None:
-        """A client has left."""
         self._clients.discard(connection)
 
     async def answer(self, connection: ServerConnection, request: Request) -> Response | None:
@@ -183,10 +173,7 @@ class AccessControl:
 
 
 def add_security_headers(response: Response, in_notebook: bool = False) -> Response:
-    """The same response with headers that restrict what other pages may do with it.
-
-    Only a page that a notebook kernel serves may be shown inside another page, and only inside one of this machine.
-    """
+    """The same response with headers; only a notebook kernel, of this machine, may show its page in another one."""
     frames = _NOTEBOOK_FRAMES if in_notebook else _NO_FRAMES
     for name, value in (_HEADERS | frames).items():
         if name not in response.headers:

@@ -53,7 +53,6 @@ class Charts:
         self._torque_legend = server.gui.add_html(_torque_legend(samples, joint_names))
 
     def update(self, samples: Samples) -> None:
-        """Draws new samples."""
         if samples.t[-1] == self._last_t:
             return
         self._last_t = samples.t[-1]
@@ -101,7 +100,6 @@ def _millimeters(value: float) -> str:
 
 
 def _legend(entries: list[tuple[str, str, str]]) -> str:
-    """Colour, name and value of each line."""
     rows = (
         f'<span style="white-space: nowrap; margin-right: 1em"><span style="color: {color}">&#9632;</span> '
         f"{html.escape(name)} <b>{value}</b></span>"

@@ -26,22 +26,14 @@ _Shares = tuple[float, float, float, float, float, float]
 
 
 class TipVelocity(NamedTuple):
-    """A velocity of the tip, world axes.
+    """A velocity of the tip, world axes."""
 
-    Attributes:
-        linear: (3,) m/s.
-        angular: (3,) rad/s.
-    """
-
-    linear: Array
-    angular: Array
+    linear: Array  # (3,) m/s
+    angular: Array  # (3,) rad/s
 
 
 class HandDevices:
-    """The velocity that one visitor asks for. It ends if it is not renewed, and when the visitor leaves.
-
-    While one visitor holds a key, a button or a cap, what the others hold does not count.
-    """
+    """The velocity that one visitor at a time asks for. It ends if it is not renewed, and when the visitor leaves."""
 
     def __init__(self) -> None:
         self._commander: object = None
@@ -57,7 +49,6 @@ class HandDevices:
         return TipVelocity(_FULL_SPEED * shares[:3], _FULL_TURN * shares[3:])
 
     async def serve(self, connection: ServerConnection) -> None:
-        """Takes the messages of one visitor until the visitor leaves."""
         try:
             with contextlib.suppress(ConnectionClosed):
                 async for message in connection:

@@ -16,10 +16,9 @@ _CELL_KEY_WEIGHTS = np.array([1 << 42, 1 << 21, 1])  # makes one integer of thre
 
 
 def decimated(model: mujoco.MjModel, cell: float = FINE_CELL, hidden_body: int = -1) -> mujoco.MjModel:
-    """A copy for drawing: meshes simplified, without collision shapes, sites, convex hulls and the geoms of one body.
+    """A copy for drawing, without collision shapes, sites, hulls and the geoms of one body.
 
-    Meshes are simplified by clustering their vertices on a grid (Rossignac and Borrel, 1993), whose cells are `cell` times the
-    model's extent.
+    Vertices are clustered in cells of `cell` times the extent (Rossignac and Borrel, 1993).
     """
     model = copy.copy(model)
     hidden = (model.geom_group > _MAX_DRAWN_GROUP) | (model.geom_bodyid == hidden_body)

@@ -71,14 +71,10 @@ class _InputChanged(_Message, tag="GuiUpdateMessage"):
 
 
 class MessageFilter:
-    """Checks the messages of all clients of one page.
-
-    Attributes:
-        inputs: viser's controls by their id. Updates of other controls are dropped.
-    """
+    """Checks the messages of all clients of one page."""
 
     def __init__(self) -> None:
-        self.inputs: Mapping[str, object] = {}
+        self.inputs: Mapping[str, object] = {}  # viser's controls by their id. Updates of other controls are dropped
         self._decoder = msgspec.msgpack.Decoder(_GizmoMoved | _GizmoTaken | _GizmoReleased | _CameraMoved | _InputChanged)
         self._encoder = msgspec.msgpack.Encoder()
 
@@ -109,10 +105,7 @@ class MessageFilter:
 
 
 def limited_value(control: object, value: object) -> bool | float | str | list[float] | None:
-    """The value that a control takes instead of the one that a client sent; None if it takes none.
-
-    A finite number outside a control's range becomes the nearest bound. Every other wrong value is rejected.
-    """
+    """The value for a control: the nearest bound for a finite number out of its range; None for other wrong values."""
     if getattr(control, "disabled", False):
         return None
     if isinstance(control, viser.GuiButtonHandle):

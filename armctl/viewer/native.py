@@ -22,12 +22,7 @@ _CLOSE_TIMEOUT_S = 5.0
 
 
 def view_natively(arm: Arm, controller: str) -> None:
-    """Runs a session in a window until that is closed, or Ctrl-C.
-
-    Raises:
-        NotInstalledError: There is no screen.
-        UnknownNameError: There is no such controller.
-    """
+    """Runs a session in a window until that is closed, or Ctrl-C."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise NotInstalledError("MuJoCo's own viewer needs a screen; without --native the page opens in a browser")
     import mujoco.viewer

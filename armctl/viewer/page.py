@@ -9,6 +9,7 @@ import queue
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -17,9 +18,10 @@ import numpy as np
 from armctl.control import CONTROLLERS
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.latest_worker import LatestWorker
+from armctl.core.pose import Pose
 from armctl.robot.arm import Arm
 from armctl.sim.realtime.session import RealTimeSession
-from armctl.viewer.demonstration import Demonstration
+from armctl.sim.realtime.status import Activity
 from armctl.viewer.panel import Panel
 from armctl.viewer.scene_controls import SceneControls
 from armctl.viewer.web_scene import DRAW_INTERVAL_S, PORT, WebScene
@@ -31,28 +33,55 @@ _TEXT_INTERVAL_S = 0.15
 _START_DELAY_S = 2.0  # the first page is drawn before the arm moves
 _JOIN_TIMEOUT_S = 0.5
 _PRELOADED_MODULES = ("mjviser", "armctl._core")  # slow to import: loaded while MuJoCo compiles the model
-
 _MAX_NOTICE_LENGTH = 400
+# The target goes around by itself until somebody touches it: what the first visitor sees.
+_REST_S = 1.0
+_ROUND_S = 6.0
+_ROUNDS = 2
+_SIZE = 0.05  # radius of a round, of the model's extent
+_MAX_RADIUS_M = 0.1
+_REMEMBERED = 8  # poses that were sent and that the session may not have taken yet
 
 Scenes = Mapping[str, Callable[[], Sequence[Arm]]]
 
 _log = logging.getLogger("armctl.viewer")
 
 
+class Demonstration:
+    """Circles of a session's target through where it is at first. Any other target, pause or reset ends it."""
+
+    def __init__(self, session: RealTimeSession):
+        """It begins a second after the arm has come to its first target."""
+        self._session = session
+        self._start = session.status.target
+        self._sent = deque([self._start], maxlen=_REMEMBERED)
+        self._begins_at: float | None = None
+        self._radius = min(_SIZE * session.arm.model.stat.extent, _MAX_RADIUS_M)
+        self.is_over = False
+
+    def advance(self, now: float) -> None:
+        """Moves the target to where it is at the time `now`, s; does nothing after the end."""
+        status = self._session.status
+        if self.is_over or (self._begins_at is None and status.activity is not Activity.AT_TARGET):
+            return
+        if status.paused or not any(status.target is pose for pose in self._sent):
+            self.is_over = True
+            return
+        if self._begins_at is None:
+            self._begins_at = now + _REST_S
+        rounds = max(0.0, now - self._begins_at) / _ROUND_S
+        self.is_over = rounds >= _ROUNDS
+        angle = 0.0 if self.is_over else 2 * np.pi * rounds
+        shift = self._radius * np.array([0.0, np.sin(angle), np.cos(angle) - 1.0])
+        self._sent.append(Pose(self._start.position + shift, quat=self._start.quat))
+        self._session.aim(self._sent[-1], held=not self.is_over)
+
+
 class Page:
     """Arms on a web page, of which one at a time is commanded, in one of several scenes."""
 
     def __init__(self, arms: Sequence[Arm], scene: WebScene, controller: str = "computed-torque", scenes: Scenes | None = None):
-        """Puts arms and their controls on a page; `serve` then keeps it up to date.
-
-        Args:
-            arms: Arms of one model; the first is commanded first.
-            scenes: Functions that load the arms in a scene, by the scene's name; the arms are in the first one. Visitors
-                choose among several.
-
-        Raises:
-            UnknownNameError: There is no such controller.
-        """
+        """Puts arms of one model, and their controls, on a page; visitors choose among `scenes`."""
         self.scene = scene
         self.url = scene.url
         self.port = scene.port
@@ -73,25 +102,18 @@ class Page:
 
     @property
     def session(self) -> RealTimeSession:
-        """The session of the commanded arm."""
         return self._controls.shown.session
 
     @property
     def panel(self) -> Panel:
-        """The panel of the commanded arm."""
         return self._controls.shown.panel
 
     @property
     def is_target_held(self) -> bool:
-        """Whether a client drags the target."""
         return self._controls.shown.target.is_held
 
     def serve(self, *, demonstrated: bool = False) -> None:
-        """Keeps the page up to date until `close`. The arm moves shortly after the first client has connected.
-
-        Args:
-            demonstrated: Whether the target then moves by itself until somebody touches it.
-        """
+        """Keeps the page up to date until `close`. The target moves by itself if `demonstrated`, until somebody touches it."""
         demonstration = Demonstration(self.session) if demonstrated else None
         self._controls.start()
         self._starter.start()
@@ -154,13 +176,11 @@ class Page:
         chosen.on_update(choose)
 
     def _standing_sessions(self, scene: str) -> list[RealTimeSession]:
-        """Sessions of the arms in a scene, of which the first is ready to move."""
         sessions = [RealTimeSession(arm, self._controller) for arm in self._scenes[scene]()]
         sessions[0].prepare()
         return sessions
 
     def _replace(self, sessions: Sequence[RealTimeSession]) -> None:
-        """Shows other arms, and lets the first of them move."""
         before = self._controls
         self._controls = self._add_controls(sessions)
         before.remove()
@@ -198,11 +218,6 @@ def view(
         token: The token that visitors need. Required with a host.
         allowed_hosts: More names of this machine under which the page is reached, such as that of a gateway.
         title: What the browser's tab shows.
-
-    Raises:
-        InputError: The token is missing or too short, or the page cannot listen there.
-        NotInstalledError: viser or mjviser is missing.
-        UnknownNameError: There is no such controller.
     """
     if controller not in CONTROLLERS:  # before a browser opens
         raise UnknownNameError.of("controller", controller, CONTROLLERS)

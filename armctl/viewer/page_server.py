@@ -59,11 +59,7 @@ _silent_log.propagate = False
 
 
 def listen(port: int, host: str | None) -> socket.socket:
-    """A socket that listens at an address, or at the next free port of this machine if no host is given.
-
-    Raises:
-        InputError: The address does not belong to this machine, or the port is taken.
-    """
+    """A socket that listens at an address, or at the next free port of this machine if no host is given."""
     last = port if host is not None or port == 0 else min(port + _MAX_PORTS_TRIED, 65535)
     while True:
         try:
@@ -116,17 +112,10 @@ class _UnsharedServer(viser.ViserServer):
 
 
 class PageServer:
-    """viser's server with the connections that it serves.
-
-    Attributes:
-        viser: viser's server.
-        devices: What the visitors' keyboards, gamepads and SpaceMice ask for.
-    """
-
     def __init__(self, server: viser.ViserServer, connections: _Connections, devices: HandDevices):
         """Use `start_server`."""
-        self.viser = server
-        self.devices = devices
+        self.viser = server  # viser's server
+        self.devices = devices  # what the visitors' keyboards, gamepads and SpaceMice ask for
         self._connections = connections
 
     def stop(self) -> None:
@@ -138,11 +127,7 @@ class PageServer:
 
 
 def start_server(listener: socket.socket, access: AccessControl, title: str) -> PageServer:
-    """Starts viser's server on a socket, behind access control and a message filter. The browser's tab shows the title.
-
-    Raises:
-        NotInstalledError: This version of viser serves in another way, so that it cannot be protected.
-    """
+    """Starts viser's server on a socket, behind access control and a message filter. The browser's tab shows the title."""
     messages = MessageFilter()
     connections = _Connections()
     devices = HandDevices()
@@ -178,8 +163,6 @@ def start_server(listener: socket.socket, access: AccessControl, title: str) -> 
 
 def _options(messages: MessageFilter, connections: _Connections) -> dict[str, Any]:
     class FilteredConnection(ServerConnection):
-        """A connection whose receiver sees checked messages only."""
-
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             super().connection_made(transport)
             connections.add(self)
@@ -244,7 +227,6 @@ def _checked(process_request, access: AccessControl, title: str):
 
 
 def _styled(page: bytes, title: str, *, compressed: bool) -> bytes:
-    """viser's page with a title, a style and a script of its own."""
     plain = gzip.decompress(page) if compressed else page
     script = files("armctl.viewer").joinpath("devices.js").read_text(encoding="utf-8")
     head = f"<title>{html.escape(title)}</title><style>{_STYLE}</style><script>{script}</script>"

@@ -13,12 +13,11 @@ from armctl.core.validation import Array
 from armctl.sim.realtime.session import RealTimeSession
 from armctl.sim.realtime.status import Status
 from armctl.viewer.charts import Charts
-from armctl.viewer.comparison_panel import ComparisonPanel
-from armctl.viewer.contact_arrows import ContactArrows
+from armctl.viewer.drawings import ContactArrows
+from armctl.viewer.long_panels import ComparisonPanel, ReachabilityPanel
 from armctl.viewer.picture_panel import PicturePanel
-from armctl.viewer.reachability_panel import ReachabilityPanel
 from armctl.viewer.status_text import describe, describe_contacts, readings
-from armctl.viewer.target_controls import TargetControls
+from armctl.viewer.target_controls import TargetControls, on_value
 
 if TYPE_CHECKING:
     import viser
@@ -36,11 +35,7 @@ _JOINT_SLIDERS_IDLE_S = 0.5  # joint sliders that were not moved for this long s
 
 
 class Panel:
-    """The controls of a session. All pages show the same values, whichever page changed them.
-
-    The callbacks are coroutines: viser runs them at once and in order, and runs plain functions in a pool of 32 threads. The
-    values that they read have passed the message filter.
-    """
+    """The controls of a session, the same on all pages; callbacks are coroutines, which viser runs in order."""
 
     def __init__(
         self,
@@ -65,7 +60,7 @@ class Panel:
         self._add_plant()
         self._add_motion()
         with server.gui.add_folder("Charts"):
-            self._charts = Charts(server, session.arm.joint_names, session.history.read())
+            self.charts = Charts(server, session.arm.joint_names, session.history.read())
         target.add_fields()
         self._add_joints()
         self._add_gripper()
@@ -74,7 +69,6 @@ class Panel:
         self._comparison = ComparisonPanel(server, session)
 
     def update(self, notice: str = "") -> None:
-        """Shows the session's status, below a notice of the page."""
         status = self._session.status
         samples = self._session.history.read()
         factor = status.real_time_factor * status.speed
@@ -82,29 +76,22 @@ class Panel:
         self._text.content = "\n\n".join(line for line in lines if line)
         self._readings.content = readings(samples, self._session.arm.joint_names, factor)
         self._contact_arrows.show(status.contacts)
-        self._charts.update(samples)
+        self.charts.update(samples)
         # On viser's event loop: written by this thread, a value could replace one that a client has just sent, before the
         # callback reads it.
         self._event_loop.call_soon_threadsafe(self._show_values, status)
 
     def _show_values(self, status: Status) -> None:
-        """Shows target and joints in the fields and sliders."""
         self._target.show_values(status)
         if not status.joint_control and time.monotonic() - self._joints_moved_at > _JOINT_SLIDERS_IDLE_S:
             for slider, angle in zip(self._joints, status.q, strict=True):
                 slider.value = round(float(angle), 3)
 
     def close(self) -> None:
-        """Ends the panel's threads."""
         self._payload_worker.close()
         self._reachability.close()
         self.pictures.close()
         self._comparison.close()
-
-    @property
-    def charts(self) -> Charts:
-        """The charts of errors and torques."""
-        return self._charts
 
     def _add_plant(self) -> None:
         session = self._session
@@ -114,14 +101,8 @@ class Panel:
             "payload, kg", 0.0, MAX_PAYLOAD_KG, 0.1, status.payload, hint="mass at the tip; the controller does not know it"
         )
 
-        async def set_controller(event: viser.GuiEvent) -> None:
-            session.set_controller(controller.value)
-
-        async def set_payload(event: viser.GuiEvent) -> None:
-            self._payload_worker.submit(lambda: session.set_payload(payload.value))
-
-        controller.on_update(set_controller)
-        payload.on_update(set_payload)
+        on_value(controller, session.set_controller)
+        on_value(payload, lambda mass: self._payload_worker.submit(lambda: session.set_payload(mass)))
 
     def _add_clock(self) -> None:
         session = self._session
@@ -150,21 +131,12 @@ class Panel:
         avoid = self._gui.add_checkbox("avoid contacts", session.status.avoiding, hint="off for pressing and grasping")
         contacts = self._gui.add_checkbox("contact forces", False, hint="arrows, 1 cm per N, at most 30 cm")
 
-        async def set_avoiding(event: viser.GuiEvent) -> None:
-            session.set_avoiding(avoid.value)
-
-        async def set_override(event: viser.GuiEvent) -> None:
-            session.set_speed_override(0.01 * override.value)
-
-        async def set_speed(event: viser.GuiEvent) -> None:
-            session.set_speed(speed.value)
-
         async def show_contacts(event: viser.GuiEvent) -> None:
             self._contact_arrows.visible = contacts.value
 
-        avoid.on_update(set_avoiding)
-        override.on_update(set_override)
-        speed.on_update(set_speed)
+        on_value(avoid, session.set_avoiding)
+        on_value(override, lambda percent: session.set_speed_override(0.01 * percent))
+        on_value(speed, session.set_speed)
         contacts.on_update(show_contacts)
 
     def _add_joints(self) -> None:
@@ -208,8 +180,4 @@ class Panel:
             return
         max_mm = float(np.floor(1e3 * session.gripper_width_max))
         slider = self._gui.add_slider("gripper, mm", 0.0, max_mm, 1.0, min(max_mm, float(round(1e3 * width))))
-
-        async def grip(event: viser.GuiEvent) -> None:
-            session.grip(1e-3 * slider.value)
-
-        slider.on_update(grip)
+        on_value(slider, lambda width_mm: session.grip(1e-3 * width_mm))

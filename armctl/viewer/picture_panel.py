@@ -49,7 +49,6 @@ class PicturePanel:
     """Two buttons. The server draws in one thread, from the view of the requesting browser, and writes no file."""
 
     def __init__(self, server: viser.ViserServer, session: RealTimeSession):
-        """Adds the buttons to a server's page."""
         self._server = server
         self._session = session
         self._worker = LatestWorker("armctl pictures")
@@ -61,11 +60,9 @@ class PicturePanel:
         self._record.on_click(self._start_or_stop)
 
     def close(self) -> None:
-        """Ends the thread that draws."""
         self._worker.close()
 
     def add(self, status: Status) -> None:
-        """Adds a moment to the film, if one is being recorded."""
         film = self._film
         if film is not None and (not film or status.elapsed - film[-1].elapsed > 0.99 * _FRAME_INTERVAL_S):
             film.append(_Moment.of(status))
@@ -87,7 +84,6 @@ class PicturePanel:
             self._submit(event.client, "mp4", lambda camera: self._filmed(list(film), camera))
 
     def _submit(self, client: viser.ClientHandle, ending: str, draw: Callable[[mujoco.MjvCamera], bytes]) -> None:
-        """Draws in the thread, then offers the file to the client for download."""
         camera = _camera(client, self._session.arm.model)
         name = f"{self._session.arm.name}.{ending}"
 

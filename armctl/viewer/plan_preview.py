@@ -54,10 +54,7 @@ class Ghost:
 
 
 class PlanPreview:
-    """Shows the planned path to the target."""
-
     def __init__(self, server: viser.ViserServer, arm: Arm, root: str):
-        """Adds an invisible line to a server's scene, below the scene node `root`."""
         self._server = server
         self._path: PlannedPath | None = None
         self._ghost = Ghost(server, arm, root)
@@ -68,7 +65,6 @@ class PlanPreview:
         )
 
     def show(self, path: PlannedPath | None, *, with_ghost: bool) -> None:
-        """Shows a path, or none, with or without the arm at its end."""
         has_ghost = path is not None and with_ghost
         if path is self._path and has_ghost == self._has_ghost:
             return

@@ -30,17 +30,10 @@ _MAX_DRAG_TURN = 0.5  # rad/s
 class RobotPage:
     """A robot on a page: as it measures itself, and as a ghost where it was told to be.
 
-    It moves only while a visitor holds a key, a button or a handle, and brakes when the visitor lets go or leaves, or when the
-    page is closed. One visitor at a time commands. Each motion is proved and checked as those of `Robot.streaming`.
+    It moves while one visitor holds a key, a button or a handle, and brakes when that ends. Each motion is proved and checked.
     """
 
     def __init__(self, robot: Robot, scene: WebScene):
-        """Puts a robot on a page; `serve` then moves it.
-
-        Args:
-            robot: Open; it stays open.
-            scene: The page.
-        """
         self.robot = robot
         self.scene = scene
         self._closing = threading.Event()
@@ -70,11 +63,9 @@ class RobotPage:
                 self._reason = str(error)
 
     def close(self) -> None:
-        """Ends `serve`; the arm brakes."""
         self._closing.set()
 
     def _move(self) -> None:
-        """Moves the arm until the hand lets go, and then brakes."""
         self._reason = ""
         with self.robot.streaming() as run:
             while not self._closing.is_set() and not self._reason:
@@ -129,18 +120,7 @@ class RobotPage:
 
 
 def view_robot(robot: Robot, *, port: int = PORT, host: str | None = None, token: str | None = None) -> None:
-    """Serves a page with a robot, until Ctrl-C.
-
-    Args:
-        robot: Open; it stays open.
-        port: As for `view`.
-        host: As for `view`.
-        token: As for `view`.
-
-    Raises:
-        InputError: The token is missing or too short, or the page cannot listen there.
-        NotInstalledError: viser or mjviser is missing.
-    """
+    """Serves a page with an open robot, which stays open, until Ctrl-C. Address and token are as for `view`."""
     scene = WebScene(port, host, token, title=f"{robot.link.name} - armctl")
     try:
         print(f"{robot.link.name} is at {scene.url}; Ctrl-C ends it", flush=True)

@@ -7,24 +7,79 @@ import contextlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from armctl.sim.realtime.session import UPDATE_INTERVAL_S, RealTimeSession
-from armctl.viewer.arm_controls import ArmControls
+from armctl.sim.realtime.status import Activity
+from armctl.viewer.drawings import TipTrail
+from armctl.viewer.panel import Panel
+from armctl.viewer.plan_preview import PlanPreview
+from armctl.viewer.status_text import describe
+from armctl.viewer.target_controls import TargetControls
 from armctl.viewer.web_scene import WebScene
 
 if TYPE_CHECKING:
     import viser
 
 
+_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
+
+
+class ArmControls:
+    """A session with its target, trail, planned path and panel."""
+
+    def __init__(self, session: RealTimeSession, scene: WebScene, root: str):
+        server = scene.server
+        arm = session.arm
+        self.session = session
+        self.session.stand_by(True)
+        self.session.hand = lambda: scene.devices.velocity
+        self._scene = scene
+        self._node = server.scene.add_frame(root, show_axes=False)
+        status = self.session.status
+        self._drawn_target = status.target
+        self.target = TargetControls(server, self.session, root)
+        self._label = server.scene.add_label(
+            f"{root}/status", describe(status), position=status.target.position + _LABEL_OFFSET_M, anchor="bottom-center"
+        )
+        self._trail = TipTrail(server.scene, arm.fk(status.q).position, root)
+        self._preview = PlanPreview(server, arm, root)
+        self.panel = Panel(server, scene.text, self.session, self.target, root)
+
+    def set_visible(self, visible: bool) -> None:
+        self._node.visible = visible
+
+    def draw(self) -> None:
+        status = self.session.status
+        target = status.target
+        self._scene.show_target(status.qpos, target)
+        self.target.draw(target)
+        self.panel.pictures.add(status)
+        self._trail.add(self.session.arm.fk(status.q).position)
+        if target is not self._drawn_target:
+            self._drawn_target = target
+            self._label.position = target.position + _LABEL_OFFSET_M
+
+    def write(self, notice: str = "") -> None:
+        """Writes what the session does, below a notice of the page, and updates the panel."""
+        status = self.session.status
+        text = describe(status)
+        if self._label.text != text:
+            self._label.text = text
+        self._trail.draw()
+        self._preview.show(status.path, with_ghost=status.activity is not Activity.AT_TARGET)
+        self.panel.update(notice)
+
+    def close(self) -> None:
+        self.panel.close()
+        self.session.stop()
+
+
 class SceneControls:
     """The controls of all arms, of which one at a time is commanded; the brakes hold the others where they are."""
 
     def __init__(self, sessions: Sequence[RealTimeSession], scene: WebScene, root: str, folder: str = ""):
-        """Adds the controls to a page. All sessions stand by.
-
-        Args:
-            sessions: A session for each arm; the first is commanded first.
-            folder: Label of a folder of the panel for the controls; without one, they cannot be removed from the panel.
-        """
+        """Adds the controls of sessions, which stand by; without a folder of the panel, they cannot be removed from it."""
         gui = scene.server.gui
         self._event_loop = scene.server.get_event_loop()
         self._closed = False
@@ -38,18 +93,15 @@ class SceneControls:
         self.shown = self.arms[sessions[0].arm.tip]
 
     def start(self) -> None:
-        """Starts the sessions, which go on standing by."""
         for controls in self.arms.values():
             controls.session.start()
 
     def close(self) -> None:
-        """Ends the threads."""
         self._closed = True
         for controls in self.arms.values():
             controls.close()
 
     def remove(self) -> None:
-        """Ends the threads, and removes everything from the page."""
         self.close()
         # On viser's event loop, after the values that were sent there before: a removed control takes none.
         self._event_loop.call_soon_threadsafe(self._remove)

@@ -16,7 +16,6 @@ _MIN_SHOWN_MM = 1e-3
 
 
 def describe(status: Status) -> str:
-    """What the session does, in one line."""
     error_mm = 1e3 * status.position_error
     match status.activity:
         case Activity.FAILED | Activity.DIVERGED:

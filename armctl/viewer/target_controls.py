@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,11 +33,7 @@ _SHIFT_BUTTONS = ("-x", "+x", "-y", "+y", "-z", "+z")
 
 
 class TargetControls:
-    """Everything on the page that moves the target, and back.
-
-    The callbacks are coroutines: viser runs them at once and in order. The values that they read have passed the message
-    filter.
-    """
+    """Everything on the page that moves the target, and back; as for `Panel`, callbacks are coroutines."""
 
     def __init__(self, server: viser.ViserServer, session: RealTimeSession, root: str):
         """Adds the handles below the scene node `root`; `add_fields` adds the fields to the panel."""
@@ -54,7 +51,6 @@ class TargetControls:
 
     @property
     def is_held(self) -> bool:
-        """Whether a client drags the target."""
         return self._held_by is not None
 
     def draw(self, target: Pose) -> None:
@@ -66,7 +62,6 @@ class TargetControls:
             self._place_gizmo(target)
 
     def add_fields(self) -> None:
-        """Adds the folders of the target to the panel."""
         gui = self._server.gui
         status = self._session.status
         with gui.add_folder("Target"):
@@ -86,9 +81,6 @@ class TargetControls:
             if event.client is not None:
                 self._aim(Pose(self._position.value, rpy=np.remainder(self._rpy.value, 2 * np.pi)))
 
-        async def set_oriented(event: viser.GuiEvent) -> None:
-            self._session.set_oriented(oriented.value)
-
         async def undo_move(event: viser.GuiEvent) -> None:
             if self._undo:
                 self._session.aim(self._undo.pop())
@@ -106,21 +98,19 @@ class TargetControls:
 
         self._position.on_update(aim)
         self._rpy.on_update(aim)
-        oriented.on_update(set_oriented)
+        on_value(oriented, self._session.set_oriented)
         undo.on_click(undo_move)
         axes.on_update(set_axes)
         shift.on_click(jog_position)
         turn.on_click(jog_orientation)
 
     def show_values(self, status: Status) -> None:
-        """Shows the target in the fields."""
         if status.target is not self._shown_target:  # otherwise a number that is being typed would be overwritten
             self._shown_target = status.target
             _show(self._position, status.target.position)
             _show(self._rpy, status.target.rpy)
 
     async def _dragged(self, event: viser.TransformControlsEvent) -> None:
-        """The handles were dragged."""
         if self._held_by is None:
             self._undo.append(self._session.status.target)
         self._held_by = None if event.phase == "end" else event.client_id
@@ -147,6 +137,15 @@ class TargetControls:
         self._gizmo.wxyz = _IDENTITY_QUAT if self._has_world_axes else target.quat
 
 
+def on_value(control: Any, take: Callable[[Any], object]) -> None:
+    """Passes each new value of a control on, on viser's event loop."""
+
+    async def changed(event: object) -> None:
+        take(control.value)
+
+    control.on_update(changed)
+
+
 def _direction(button: str) -> Array:
     """The unit vector of a button such as "-y"."""
     direction = np.zeros(3)
@@ -155,7 +154,6 @@ def _direction(button: str) -> Array:
 
 
 def _show(field: viser.GuiVector3Handle, value: Array) -> None:
-    """Writes a value that differs from what the field shows."""
     if np.abs(np.array(field.value) - value).max() > _ROUNDING:
         field.value = _rounded(value)
 

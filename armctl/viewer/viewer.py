@@ -69,11 +69,9 @@ class Viewer:
             self.close()
 
     def close(self) -> None:
-        """Closes the page."""
         self.scene.close()
 
     def after_reset(self, data: mujoco.MjData) -> None:
-        """Shows the new state."""
         self._show(data)
 
     def before_run(self) -> None:
@@ -93,7 +91,6 @@ class Viewer:
 
 
 def _in_notebook() -> bool:
-    """Whether this process is the kernel of a notebook."""
     ipython = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     return hasattr(shell, "kernel")

@@ -48,8 +48,6 @@ _log = logging.getLogger("armctl.viewer")
 
 
 class _Lamp(NamedTuple):
-    """A directional light that shines from `position` towards the origin."""
-
     position: tuple[float, float, float]
     intensity: float
 
@@ -68,24 +66,16 @@ class _View(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """What is drawn: positions of the model and of its mocap bodies."""
-
     qpos: Array
     mocap_pos: Array
     mocap_quat: Array
 
     def is_close(self, other: _Frame) -> bool:
-        """Whether no number differs visibly."""
         return all(np.abs(a - b).max(initial=0.0) < _MIN_MOTION for a, b in zip(self, other, strict=True))
 
 
 class WebScene:
-    """The scene of an arm on a web page. The thread that moves the arm calls `show` and never waits for the drawing.
-
-    Attributes:
-        server: viser's server, for more controls on the page.
-        devices: What the visitors' keyboards, gamepads and SpaceMice ask for.
-    """
+    """The scene of an arm on a web page. The thread that moves the arm calls `show` and never waits for the drawing."""
 
     def __init__(
         self,
@@ -97,19 +87,7 @@ class WebScene:
         title: str = "armctl",
         in_notebook: bool = False,
     ):
-        """Serves an empty page at once: the browser opens while an arm is loaded.
-
-        Args:
-            port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
-            host: Address of this machine at which other machines reach the page; None for this machine alone.
-            token: The token that visitors need; None if no token is needed.
-            allowed_hosts: More names of this machine that a request may carry in its Host header.
-            in_notebook: Whether a notebook of this machine may show the page in a frame.
-
-        Raises:
-            NotInstalledError: viser or mjviser is missing.
-            InputError: The port is not a port, the token is too short, or the page cannot listen there.
-        """
+        """Serves an empty page at once: the browser opens while an arm is loaded. The arguments are those of `view`."""
         if not 0 <= port <= _MAX_PORT:
             raise InputError(f"port: expected a number in [0, {_MAX_PORT}], got {port}")
         if token is not None:
@@ -126,8 +104,8 @@ class WebScene:
         self._root = f"http://{_shown_host(host)}:{self.port}"
         self.url = self._root + self._access.query()
         self._page_server = page_server.start_server(listener, self._access, title)
-        self.server = self._page_server.viser
-        self.devices = self._page_server.devices
+        self.server = self._page_server.viser  # viser's server, for more controls on the page
+        self.devices = self._page_server.devices  # what the visitors' keyboards, gamepads and SpaceMice ask for
         atexit.register(self.close)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.gui.main_panel.dock_right()
@@ -152,14 +130,7 @@ class WebScene:
         return bool(screen) and webbrowser.open(self._root + self._access.one_time_query())
 
     def set(self, arm: Arm, others: Sequence[Arm] = (), *, with_marker: bool = True) -> None:
-        """Puts an arm on the page, at home, in place of the one that is there; the first view shows the others, too.
-
-        Args:
-            with_marker: Whether the model's own target marker is drawn.
-
-        Raises:
-            NotInstalledError: mjviser is missing.
-        """
+        """Puts an arm at home on the page in place of the one there; the first view shows the others, too."""
         import mjviser
 
         target = find_target(arm.model)
@@ -204,7 +175,6 @@ class WebScene:
         return self._client_connected.wait(timeout)
 
     def close(self) -> None:
-        """Closes the page. It may be called twice."""
         if self._closing.is_set():
             return
         atexit.unregister(self.close)
@@ -238,7 +208,6 @@ class WebScene:
             self._drawn = None
 
     def draw(self) -> None:
-        """Sends the latest state to the clients."""
         latest = self._latest
         self._latest = None
         if latest is None or (self._drawn is not None and latest.is_close(self._drawn)):
@@ -300,10 +269,7 @@ def _shown_host(host: str | None) -> str:
 
 
 def _add_background_and_lamps(scene: viser.SceneApi) -> None:
-    """A sky with enough contrast to white and to black arms, and lamps on all sides.
-
-    There are no shadows and no reflections: a browser without a graphics card would draw three pictures a second.
-    """
+    """A sky that contrasts with all arms, and lamps. Shadows would be too slow for a browser without graphics card."""
     top = np.array(_SKY_TOP_RGB)
     bottom = np.array(_SKY_BOTTOM_RGB)
     share = np.linspace(0.0, 1.0, _SKY_HEIGHT_PX)[:, None, None]

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import armctl
-from armctl.links.player import Player
+from armctl.links.host import Player
 from armctl.motion.trajectory.piecewise import sample, standing
 
 DT = 0.002

@@ -10,9 +10,8 @@ from armctl.core.pose import Pose
 from armctl.sim.realtime.history import Samples
 from armctl.sim.realtime.session import RealTimeSession
 from armctl.viewer.charts import Charts
-from armctl.viewer.contact_arrows import ContactArrows
-from armctl.viewer.demonstration import Demonstration
-from armctl.viewer.tip_trail import TipTrail
+from armctl.viewer.drawings import ContactArrows, TipTrail
+from armctl.viewer.page import Demonstration
 
 EPSILON = 1e-6  # points are sent as float32
 

@@ -1,4 +1,4 @@
-"""ContactArrows: the forces at contacts, as arrows in the scene."""
+"""What moves in the scene: the path of the tip over the last seconds as a line, and forces at contacts as arrows."""
 
 from __future__ import annotations
 
@@ -11,13 +11,52 @@ from armctl.core.validation import Array
 if TYPE_CHECKING:
     import viser
 
+_SEGMENTS = 300
+_MIN_STEP_M = 2e-3
+_MAX_STEP_M = 0.1  # a longer step is a reset, not a motion
+_THICKNESS_PX = 3.0
+_TRAIL_RGB = (255, 190, 0)
 M_PER_N = 0.01
 MAX_LENGTH_M = 0.3
 _MIN_FORCE_N = 0.05
-_RGB = (200, 0, 0)
+_ARROW_RGB = (200, 0, 0)
 _SHAFT_RADIUS_M = 0.004
 _HEAD_RADIUS_M = 0.01
 _HEAD_LENGTH_M = 0.02
+
+
+class TipTrail:
+    """A line behind the tip. The number of segments is fixed: those without a way yet have no length."""
+
+    def __init__(self, scene: viser.SceneApi, position: Array, root: str):
+        """A trail of no length, at the tip's position (3,) m, below the scene node `root`."""
+        self._segments = np.empty((_SEGMENTS, 2, 3), np.float32)
+        self._start_at(position)
+        self._has_changed = False
+        self._line = scene.add_line_segments(
+            f"{root}/trail", self._segments, _TRAIL_RGB, thickness=_THICKNESS_PX, thickness_units="screen"
+        )
+
+    def add(self, position: Array) -> None:
+        """The tip is at `position`, (3,) m, now."""
+        last = self._segments[-1, 1].copy()
+        step = float(np.linalg.norm(position - last))
+        if step < _MIN_STEP_M:
+            return
+        self._has_changed = True
+        if step > _MAX_STEP_M:
+            self._start_at(position)
+            return
+        self._segments = np.roll(self._segments, -1, axis=0)
+        self._segments[-1] = last, position
+
+    def draw(self) -> None:
+        if self._has_changed:
+            self._has_changed = False
+            self._line.points = self._segments.copy()
+
+    def _start_at(self, position: Array) -> None:
+        self._segments[:] = position
 
 
 class ContactArrows:
@@ -45,7 +84,7 @@ class ContactArrows:
             self._arrows = self._scene.add_arrows(
                 f"{self._root}/contacts",
                 points,
-                _RGB,
+                _ARROW_RGB,
                 shaft_radius=_SHAFT_RADIUS_M,
                 head_radius=_HEAD_RADIUS_M,
                 head_length=_HEAD_LENGTH_M,

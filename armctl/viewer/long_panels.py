@@ -1,4 +1,4 @@
-"""ComparisonPanel: a button that runs one motion under every controller with the current payload."""
+"""Panels whose work takes long: one motion under every controller with the payload, and the points that an arm reaches."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from armctl.analysis.plot import overlay_image
 from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
+from armctl.ik.reachability import Reachability, reachability
+from armctl.robot.arm import Arm
 from armctl.sim.plant import Plant
 from armctl.sim.realtime.session import RealTimeSession
 
@@ -16,9 +18,12 @@ if TYPE_CHECKING:
     import viser
 
 
-class ComparisonPanel:
-    """A button with a table and a plot below it."""
+_POINT_SIZE_SPACINGS = 0.08
+_EXPLANATION = "Computed once, with one thread. Contacts are not considered."
+_LEGEND = "From dark blue (few of the orientations) to yellow (most of them)."
 
+
+class ComparisonPanel:
     def __init__(self, server: viser.ViserServer, session: RealTimeSession):
         """Adds the button to a server's page; the session pauses while a comparison runs."""
         self._gui = server.gui
@@ -33,7 +38,6 @@ class ComparisonPanel:
         self._button.on_click(self._clicked)
 
     def close(self) -> None:
-        """Ends the worker."""
         self._worker.close()
 
     async def _clicked(self, event: object) -> None:
@@ -65,9 +69,50 @@ class ComparisonPanel:
 
 
 def _table(reports: list[Report]) -> str:
-    """The main figures as a Markdown table."""
     rows = [
         f"| {r.controller} | {1e3 * r.tip_rms_m:.3g} | {1e3 * r.final_tip_error_m:.3g} | {100 * r.peak_torque_ratio:.0f} |"
         for r in reports
     ]
     return "\n".join(["| | tip RMS, mm | at the end, mm | peak torque, % |", "| - | - | - | - |", *rows])
+
+
+class ReachabilityPanel:
+    """The map is computed in a thread of its own when it is first shown; the arm moves meanwhile."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, root: str):
+        self._scene = server.scene
+        self._arm = arm
+        self._root = root
+        self._worker = LatestWorker("armctl reachability")
+        self._points: viser.PointCloudHandle | None = None
+        with server.gui.add_folder("Reachability", expand_by_default=False):
+            self._switch = server.gui.add_checkbox("reachable points", False)
+            self._text = server.gui.add_markdown(_EXPLANATION)
+        self._switch.on_update(self._switched)
+
+    def close(self) -> None:
+        self._worker.close()
+
+    async def _switched(self, event: object) -> None:
+        self._worker.submit(self._show)
+
+    def _show(self) -> None:
+        """Shows or hides the points, after computing them at the first time."""
+        if self._points is None and self._switch.value:
+            self._text.content = "computing ..."
+            try:
+                found = reachability(self._arm, threads=1)
+            except Exception as error:
+                self._text.content = f"not computed: {error}"[:300]
+                raise
+            if self._worker.is_closed:
+                return
+            self._points = self._add_points(found)
+            self._text.content = f"{found}. {_LEGEND}" if len(found.orientations) else f"{found}."
+        if self._points is not None:
+            self._points.visible = self._switch.value
+
+    def _add_points(self, found: Reachability) -> viser.PointCloudHandle:
+        points, colours = found.cloud()
+        size = _POINT_SIZE_SPACINGS * found.spacing
+        return self._scene.add_point_cloud(f"{self._root}/reachable", points, colours, point_size=size, point_shape="circle")
