@@ -140,7 +140,7 @@ def test_the_gripper_moves_while_the_arm_holds_its_place():
     go(session, 0.1)
     assert session.status.gripper_width == pytest.approx(0.06, abs=2e-3)
     session.reset()
-    go(session, 2.0)
+    go(session, 4.0)
     assert session.status.activity is Activity.SAGGING  # under 0.5 kg that the controller does not know
     assert session.status.payload == 0.5
 

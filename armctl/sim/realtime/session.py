@@ -11,6 +11,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from armctl.collision.checkers import collision_checker
 from armctl.control import Controller, controller_by_name
 from armctl.core.errors import ModelError, UnknownNameError
 from armctl.core.log import SimulationError
@@ -322,9 +323,10 @@ class RealTimeSession:
         has_target = find_target(stepper.model) is not None
         tip = stepper.tip_pose(arm)
         start = target_pose(stepper.model, stepper.data).position if has_target else tip.position
-        self._follower.stand(
-            arm.home, solve_ik(arm, Pose(start, quat=tip.quat), arm.home).q
-        )  # the tool is held as at home, if it can be
+        goal = solve_ik(arm, Pose(start, quat=tip.quat), arm.home).q  # the tool is held as at home, as nearly as possible
+        if collision_checker(arm).at(goal):
+            goal = solve_ik(arm, start, arm.home).q
+        self._follower.stand(arm.home, goal)
 
     def _rest_at(self, qpos: Array) -> None:
         """Puts the whole model at positions (nq,), at rest, with the target at the tip."""
