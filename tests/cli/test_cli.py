@@ -48,7 +48,7 @@ def test_a_mistyped_command_gets_a_suggestion(capsys):
     assert not out
     assert err == "armctl: unknown command 'simulat'; did you mean 'simulate'?\n"
     _, _, err = run(capsys, "xyz")
-    assert "margins, reachability, tune" in err
+    assert "margins, tune, reachability" in err
     _, _, err = run(capsys, "reach", BUNDLED, "--contoller", "pd")
     assert err == "armctl: unknown option '--contoller'; did you mean '--controller'?\n"
 

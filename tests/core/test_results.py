@@ -31,7 +31,7 @@ def test_there_are_results():
 @pytest.mark.parametrize("name", result_classes())
 def test_a_result_is_true_if_it_is_ok_and_has_a_reason(name: str):
     cls = result_classes()[name]
-    assert "__bool__" in vars(cls), f"bool({name}) does not depend on ok"
+    assert hasattr(cls, "__bool__"), f"bool({name}) does not depend on ok"
     assert "reason" in fields(cls) or isinstance(inspect.getattr_static(cls, "reason", None), property)
     assert cls.__eq__ is object.__eq__ or not any("Array" in str(x) for x in cls.__annotations__.values()), "arrays have no =="
 
