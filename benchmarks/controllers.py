@@ -20,8 +20,8 @@ import pinocchio as pin
 from markdown_table import titled_table
 
 import armctl
+from armctl import JointTrajectory
 from armctl.control import CONTROLLERS, controller_by_name
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 
 ROBOTS = ("panda", "ur5e", "iiwa14", "xarm7")
 TICK_S = 0.001

@@ -22,11 +22,7 @@ import numpy as np
 from markdown_table import markdown_table
 
 import armctl
-from armctl import Arm, Pose
-from armctl.ik.all_solutions import solve_ik_all
-from armctl.ik.batch import solve_ik_batch
-from armctl.ik.differential import DifferentialIk
-from armctl.ik.solve import solve_ik
+from armctl import Arm, DifferentialIk, Pose, solve_ik, solve_ik_all, solve_ik_batch
 
 ARMS = ["panda", "ur5e", "iiwa14", "xarm7", "gen3"]
 POSITION_TOLERANCE, ORIENTATION_TOLERANCE = 1e-5, 1e-4

@@ -24,8 +24,7 @@ from motion_peers import TIMERS, Timed
 from scipy.interpolate import make_interp_spline
 
 import armctl
-from armctl.motion.move_cartesian import move_path
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl import JointTrajectory, move_path
 
 Array = np.ndarray
 

@@ -25,10 +25,10 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from markdown_table import titled_table
 from planning_peers import ompl_planner, roboplan_planner
 
 import armctl
-from armctl.core.tables import Table
 
 CLEARANCE_M = 2e-3  # the default of move_free
 
@@ -88,10 +88,6 @@ def main() -> None:
     print(text)
 
 
-def as_markdown(header: list[str], rows: list[list[object]]) -> str:
-    return Table(tuple(header), tuple(tuple(map(str, row)) for row in rows)).markdown()
-
-
 def planned(title: str, all_problems: list[Problem]) -> str:
     """Every problem solved, timed and verified."""
     solved: list[Solved] = []
@@ -122,7 +118,7 @@ def planned(title: str, all_problems: list[Problem]) -> str:
         "approach. Duration: median multiple of that of the straight motion, which touches something or is the same."
     )
     return (
-        f"**{title}: {len(solved)} of {len(all_problems)} solved**\n\n{as_markdown(header, rows)}\n\n{legend}\n{notes}".rstrip()
+        f"{titled_table(f'{title}: {len(solved)} of {len(all_problems)} solved', header, rows)}\n\n{legend}\n{notes}".rstrip()
     )
 
 
@@ -221,7 +217,7 @@ def beside_peers(all_problems: list[Problem]) -> str:
         "0.05 rad; OMPL every 0.5 %, with MuJoCo's contacts called through Python, so its times are not its best."
     )
     absent = f" Not installed: {', '.join(sorted(missing))}." if missing else ""
-    return f"**Paths beside peers, MotionBenchMaker, Panda**\n\n{as_markdown(header, rows)}\n\n{notes}{absent}"
+    return f"{titled_table('Paths beside peers, MotionBenchMaker, Panda', header, rows)}\n\n{notes}{absent}"
 
 
 def stopping_at(arm: armctl.Arm, points: np.ndarray) -> armctl.JointTrajectory:
@@ -249,7 +245,7 @@ def moves() -> str:
             reached_touching += result.ok and is_touching
         rows.append([f"avoid={avoid}", total, reached, touching, reached_touching])
     header = ["`sim.move_to`", "moves", "reached", "touched something", "reached although touched"]
-    return f"**Moves from home to poses in the own scenes, simulated; contacts at every tick**\n\n{as_markdown(header, rows)}"
+    return titled_table("Moves from home to poses in the own scenes, simulated; contacts at every tick", header, rows)
 
 
 def touches_at(problem: Problem, configurations: np.ndarray) -> bool:
