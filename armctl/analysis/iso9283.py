@@ -30,6 +30,7 @@ from armctl.control import Controller, controller_by_name, controller_name
 from armctl.core.errors import PlanError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, integer, number
 from armctl.ik.solve import solve_ik
 from armctl.motion.move_cartesian import move_l, move_path
@@ -57,7 +58,7 @@ _NO_TRIPLE: _Triple = (nan, nan, nan)
 
 
 @dataclass(frozen=True)
-class Iso9283:
+class Iso9283(Verdict):
     """The figures of one arm under one controller, each the worst of the five poses or of the path.
 
     Attributes:
@@ -125,9 +126,6 @@ class Iso9283:
     speed_fluctuation: float = nan
     posing_times: tuple[tuple[float, float], ...] = ()
     compliance_m_per_N: _Triple = _NO_TRIPLE
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def to_dict(self) -> dict[str, object]:
         """The figures by name, for JSON: NaN becomes None.

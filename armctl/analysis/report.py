@@ -14,6 +14,7 @@ from armctl.analysis.plot import four_panels
 from armctl.core import units
 from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log
+from armctl.core.result import Verdict
 from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
@@ -26,7 +27,7 @@ _REST_TICKS = 6  # intervals between ticks without motion of the reference, arou
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class Report(Verdict):
     """The figures of one run. A figure that has no meaning for the run is NaN (null in `to_dict`).
 
     Attributes:
@@ -84,9 +85,6 @@ class Report:
     delay_margin_s: float = math.nan
     peak_sensitivity: float = math.nan
     residual_vibration_m: float = math.nan
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     @classmethod
     def from_log(cls, log: Log, tolerance: float = TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE) -> Report:

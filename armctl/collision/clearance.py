@@ -13,6 +13,7 @@ from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.collision.interface import KeptAxis
 from armctl.core.errors import InputError
+from armctl.core.result import Verdict
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm, check_arm
@@ -41,7 +42,7 @@ class PiecewiseTrajectory(Protocol):
 
 
 @dataclass(frozen=True)
-class ClearanceCheck:
+class ClearanceCheck(Verdict):
     """The smallest distance of an arm from itself and from its scene during a motion.
 
     Attributes:
@@ -62,9 +63,6 @@ class ClearanceCheck:
     second: str
     clearance: float
     reason: str
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if not self.ok:

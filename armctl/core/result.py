@@ -1,4 +1,4 @@
-"""MoveResult: how a move ended."""
+"""Results: Verdict, the base of those that say whether they are ok, and MoveResult, how a move ended."""
 
 from __future__ import annotations
 
@@ -8,8 +8,18 @@ from dataclasses import dataclass
 from armctl.core.log import Contact, Log
 
 
+class Verdict:
+    """A result that is true if it is ok."""
+
+    __slots__ = ()
+    ok: bool
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+
 @dataclass(frozen=True, eq=False)
-class MoveResult:
+class MoveResult(Verdict):
     """The result of a move. `bool(result)` is `result.ok`.
 
     Attributes:
@@ -27,9 +37,6 @@ class MoveResult:
     duration: float
     reason: str
     log: Log | None
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if not self.ok:

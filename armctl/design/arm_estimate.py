@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, as_array, vector
-from armctl.core.verdict import Verdict
 from armctl.design.identified_model import IdentifiedArm, consistent_model
 from armctl.design.regressor import FrictionShape
 from armctl.robot.arm import Arm, with_model

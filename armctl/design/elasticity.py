@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.log import Log
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, frozen, instance
-from armctl.core.verdict import Verdict
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.passive_forces import PassiveForces
 

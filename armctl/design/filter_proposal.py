@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import CompiledController, Controller, LowPass, Notch, TorqueFilter, controller_name
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, number
-from armctl.core.verdict import Verdict
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
 from armctl.design.stability import LoopMargins

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from armctl.control import Controller, State, controller_name
 from armctl.core.log import Log
 from armctl.core.plotting import COLORS, finish_figure
+from armctl.core.result import Verdict
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, IntArray, choice
-from armctl.core.verdict import Verdict
 from armctl.design.arm_excitation import Excitation
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop

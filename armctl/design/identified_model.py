@@ -12,8 +12,8 @@ import pinocchio as pin
 
 from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, shown
-from armctl.core.verdict import Verdict
 from armctl.design.pseudo_inertia import inertial_parameters, pseudo_inertia, regularized, upper_factor
 from armctl.loading.catalog import locate
 from armctl.mjmodel.edit import set_body_inertia

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError
 from armctl.core.limits import smallest_configuration
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, frozen, integer, matrix, shown
-from armctl.core.verdict import Verdict
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
 from armctl.design.stability import CoarseMargins, LoopMargins

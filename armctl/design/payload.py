@@ -9,8 +9,8 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.log import Log
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, frozen, instance
-from armctl.core.verdict import Verdict
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, IntArray
-from armctl.core.verdict import Verdict
 from armctl.design.state_space import ComplexArray, StateSpace
 
 _MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move

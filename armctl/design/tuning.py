@@ -14,8 +14,8 @@ from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains, sample_configu
 from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.observer_gains import observer_gains
 from armctl.core.errors import InputError, ModelError, UnknownNameError
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, IntArray, frozen, number, shown
-from armctl.core.verdict import Verdict
 from armctl.design.frequency_response import standstill
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop, coarse_margins_with, coarse_plant

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, instance
-from armctl.core.verdict import Verdict
 from armctl.design.linearization import linear_arm
 from armctl.design.multisine import joint_index
 from armctl.design.state_space import ComplexArray, StateSpace

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlError, InputError
 from armctl.core.progress import progress_bar
+from armctl.core.result import Verdict
 from armctl.core.validation import integer, shown
 from armctl.envs.arm_env import ArmEnv
 from armctl.envs.experts import ExpertPolicy
@@ -33,7 +34,7 @@ _Policy = Callable[[Any], ArrayLike]
 
 
 @dataclass(frozen=True)
-class DemonstrationsResult:
+class DemonstrationsResult(Verdict):
     """How saving demonstrations ended. `bool(result)` is `result.ok`.
 
     Attributes:
@@ -51,9 +52,6 @@ class DemonstrationsResult:
     frames: int
     failures: int
     reason: str
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         done = f"{self.episodes} episodes, {self.frames} frames in {self.folder.name}, {self.failures} failures left out"

@@ -20,6 +20,7 @@ from armctl.core.file_reading import read_npz, reading
 from armctl.core.plotting import finish_figure
 from armctl.core.pose import matrix_from_quat
 from armctl.core.progress import progress_bar
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, array, choice, frozen, integer, matrix, number, vector
 from armctl.ik.closed_form_solutions import first_solutions
 from armctl.ik.lm import TOLERANCE_SHARE
@@ -46,7 +47,7 @@ _MAX_FILE_BYTES = 128 * MAX_POINTS  # unpacked; a point has 40 bytes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Reachability:
+class Reachability(Verdict):
     """The points of a grid that an arm reaches.
 
     `bool(result)` is `result.ok`.
@@ -71,9 +72,6 @@ class Reachability:
     manipulability: Array
     spacing: float
     orientations: Array
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if not self.ok:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from armctl.core.result import Verdict
 from armctl.core.units import length_text
 from armctl.core.validation import Array, BoolArray, IntArray, TextArray
 
@@ -14,7 +15,7 @@ NEAR_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class IkResult:
+class IkResult(Verdict):
     """The result of one IK problem. `q` is finite and inside the joint limits, also if `ok` is False.
 
     `bool(result)` is `result.ok`. Two results are equal only if they are the same object.
@@ -40,9 +41,6 @@ class IkResult:
     iterations: int
     starts: int
     branch: str | None = None
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if self.ok:

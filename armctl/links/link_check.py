@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.pose import Pose
+from armctl.core.result import Verdict
 from armctl.core.validation import Array
-from armctl.core.verdict import Verdict
 from armctl.links.link import Seen
 from armctl.robot.arm import Arm
 

@@ -15,6 +15,7 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.limits import torque_shares
+from armctl.core.result import Verdict
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
 from armctl.motion.timing.path_timing import slowed_down
@@ -34,7 +35,7 @@ _MAX_STRETCH = 1.5
 
 
 @dataclass(frozen=True)
-class TorqueCheck:
+class TorqueCheck(Verdict):
     """Whether the motors can follow a motion. True if they can.
 
     Attributes:
@@ -56,9 +57,6 @@ class TorqueCheck:
     unit: str
     ratio: float
     ratios: tuple[float, ...]
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     @property
     def reason(self) -> str:

@@ -12,6 +12,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.collision.clearance import ClearanceCheck, clearance_of
 from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import torque_shares
+from armctl.core.result import Verdict
 from armctl.core.trajectory import check_motion
 from armctl.core.validation import Array, instance, integer, number
 from armctl.motion.checks import planning_arm
@@ -52,7 +53,7 @@ class MotionMeasures(NamedTuple):
 
 
 @dataclass(frozen=True)
-class OptimizedMotion:
+class OptimizedMotion(Verdict):
     """What `optimize` found. True if it is better than the given motion.
 
     Attributes:
@@ -74,9 +75,6 @@ class OptimizedMotion:
     cost: float
     clearance: ClearanceCheck
     evaluations: int
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         changes = ", ".join(

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.pose import Pose
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, instance, integer, matrix, number, vector
 from armctl.mjmodel.queries import object_id
 from armctl.motion.torque_limits import InverseDynamics
@@ -308,7 +309,7 @@ class MPPIOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class PushResult:
+class PushResult(Verdict):
     """What `push` reached. True if the object is at its goal.
 
     Attributes:
@@ -326,9 +327,6 @@ class PushResult:
     angle_error: float
     seconds: float
     plans: int
-
-    def __bool__(self) -> bool:
-        return self.ok
 
 
 def push(

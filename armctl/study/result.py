@@ -15,6 +15,7 @@ from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import ArmctlError, InputError, NotInstalledError, UnknownNameError
 from armctl.core.file_reading import pyarrow, read_parquet, reading
 from armctl.core.log import Log
+from armctl.core.result import Verdict
 from armctl.core.validation import choice, flag, instance, integer
 from armctl.study import plots
 from armctl.study.bench import FIGURES, Outcome, Run
@@ -39,7 +40,7 @@ class WorstRun:
 
 
 @dataclass(frozen=True, eq=False)
-class StudyResult:
+class StudyResult(Verdict):
     """The finished runs of a study. `bool(result)` is `result.ok`.
 
     Attributes:
@@ -51,9 +52,6 @@ class StudyResult:
     reason: str
     study: StudyPlan
     _columns: Mapping[str, np.ndarray]
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __len__(self) -> int:
         return len(self._columns["run"])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from armctl.core.errors import InputError
+from armctl.core.result import Verdict
 from armctl.core.tables import Table
 from armctl.core.validation import Array
 from armctl.study.factors import Random
@@ -35,7 +36,7 @@ class ControllerSummary:
 
 
 @dataclass(frozen=True)
-class StudySummary:
+class StudySummary(Verdict):
     """The controllers of a study side by side. `bool(summary)` is `summary.ok`."""
 
     ok: bool  # whether all runs of the study are finished
@@ -43,9 +44,6 @@ class StudySummary:
     name: str  # the name of the study
     metrics: tuple[str, ...]
     controllers: tuple[ControllerSummary, ...]  # one for each controller
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def table(self) -> Table:
         """The summary as a table; intervals are of 95 % confidence."""
@@ -136,7 +134,7 @@ class FactorSensitivity:
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class Sensitivity(Verdict):
     """Sobol indices of a metric. `bool(sensitivity)` is `sensitivity.ok`."""
 
     ok: bool  # whether every interval is narrower than 0.2; otherwise more samples are needed
@@ -145,9 +143,6 @@ class Sensitivity:
     controller: str
     samples: int  # the number of samples; runs are (d + 2) times as many
     factors: tuple[FactorSensitivity, ...]  # the indices of each factor, the largest total first
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         rows = [[each.factor, f"{each.first_order:.2f}", f"{each.total:.2f}"] for each in self.factors]

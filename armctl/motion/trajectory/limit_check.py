@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from armctl.core.limits import Limits
+from armctl.core.result import Verdict
 from armctl.core.validation import Array, BoolArray, frozen
 from armctl.motion.trajectory.piecewise import Pieces
 
@@ -65,7 +66,7 @@ class Peak:
 
 
 @dataclass(frozen=True)
-class LimitCheck:
+class LimitCheck(Verdict):
     """Whether a motion keeps position, velocity, acceleration and jerk limits. True if it does.
 
     Attributes:
@@ -75,9 +76,6 @@ class LimitCheck:
 
     ok: bool
     peaks: tuple[Peak, ...]
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     @property
     def worst(self) -> Peak:

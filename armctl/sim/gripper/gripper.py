@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError
+from armctl.core.result import Verdict
 from armctl.core.validation import instance, number
 from armctl.mjmodel.queries import body_name, is_loose
 from armctl.robot.arm import Arm
@@ -32,7 +33,7 @@ _SERVO_RANGES = ("actuator_ctrllimited", "actuator_ctrlrange", "actuator_forceli
 
 
 @dataclass(frozen=True)
-class GripResult:
+class GripResult(Verdict):
     """The result of a movement of the gripper. `bool(result)` is `result.ok`.
 
     Attributes:
@@ -52,9 +53,6 @@ class GripResult:
     force: float
     duration: float
     reason: str
-
-    def __bool__(self) -> bool:
-        return self.ok
 
     def __str__(self) -> str:
         if self.grasped:
