@@ -1,4 +1,4 @@
-"""identify_servo: rotor inertia, gains, friction, offsets and delay of position servos, from positions alone."""
+"""identify_servo: rotor inertia, gains, friction, offsets, backlash and delay of position servos, from positions alone."""
 
 from __future__ import annotations
 
@@ -19,11 +19,17 @@ from armctl.design.servo_simulation import ServoParameters, ServoSimulation, set
 from armctl.loading.catalog import locate
 from armctl.robot.arm import Arm, check_arm, with_model
 
-PER_JOINT = ("armature", "stiffness", "damping", "coulomb_friction", "offset")
+PER_JOINT = ("armature", "stiffness", "damping", "coulomb_friction", "offset", "backlash")
 _BANDWIDTH = 20.0  # rad/s, where to start with a file that has no servos
 _INERTIA_SHARE = 0.05  # of a joint's inertia, where to start with a file that has no rotor inertia
 _RANGE = 100.0  # the bounds of armature, stiffness and damping over their values in the file, and reversed
 _FRICTION_SHARE = 0.05  # of a joint's typical torque: the unit of dry friction in the fit
+_BACKLASH_UNIT = 0.01  # rad, in the fit
+_START_BACKLASHES = (0.1, 0.3, 0.6, 1.0, 2.0)  # in this unit
+_MAX_BACKLASH = 10.0
+_MAX_BACKLASH_ERROR = 0.25  # in this unit: with a larger standard error a recording does not show it
+_MIN_BACKLASH_GAIN = 0.9  # of the sum of squares of a joint, by the best of these
+_SIGNIFICANT = 3.0  # standard errors of a backlash that is not taken for zero
 _MAX_DELAY_S = 0.25
 _START_DELAYS = np.linspace(0.0, 0.12, 7)
 _START_SCALES = (0.3, 1.0, 3.0)  # of the stiffness
@@ -96,7 +102,8 @@ class ServoEstimate(IdentifiedArm):
             InputError: The log has no commands, or is of other joints.
         """
         _check(self.arm, "recording", recording)
-        return ServoSimulation(self.arm, recording.dt).positions([self.parameters], recording)[0]
+        gaps = bool(self.parameters.backlash.any())
+        return ServoSimulation(self.arm, recording.dt, gaps).positions([self.parameters], recording)[0]
 
     def _identified(self, arm: Arm) -> Arm:
         model = copy.copy(arm.model)
@@ -121,7 +128,8 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     """Identifies the position servos of an arm from commanded and measured positions; no torques are needed.
 
     MuJoCo's own model, with position servos, simulates the whole recording; least squares with bounds changes rotor inertia,
-    gains, Coulomb friction and offsets of all joints and one delay (output-error method: Ljung, "System Identification", 1999).
+    gains, Coulomb friction, offsets and backlash of all joints and one delay (output-error method: Ljung, "System
+    Identification", 1999). A backlash that is not larger than three standard errors is zero.
     Masses of links are those of the file: gravity gives the torques their scale. Where it shows too little of it, the parameter
     with the largest error keeps the file's value. Damping of a joint has the effect of its servo's, so the file's stays.
 
@@ -146,11 +154,11 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     fit = _Fit(arm, recording, _of_file(arm, source))
     fit.search()
     fit.solve()
-    fit.drop_unseen()
-    if not fit.free.all():
+    fit.find_backlash()
+    if fit.drop_unseen():
         fit.solve()
     found = fit.parameters(fit.z)
-    along = ServoSimulation(arm, judge.dt).positions([found, fit.file], judge) - judge.q
+    along = ServoSimulation(arm, judge.dt, bool(found.backlash.any())).positions([found, fit.file], judge) - judge.q
     judged = np.sqrt(np.mean(along[:, round(_SETTLING_S / judge.dt) :] ** 2, axis=1))
     rms = np.sqrt(np.mean(fit.residuals(fit.z) ** 2, axis=0))
     lag = np.sqrt(np.mean((judge.q_ref - judge.q) ** 2, axis=0))
@@ -215,7 +223,8 @@ def _of_file(arm: Arm, source: str | os.PathLike[str] | None) -> ServoParameters
             i = arm.joint_names.index(joint)
             stiffness[i] = kp
             damping[i] = kv if kv > 0.0 else damping[i]
-    return ServoParameters(armature, stiffness, damping, arm.model.dof_frictionloss[arm.dof_adr].copy(), np.zeros(arm.n), 0.0)
+    friction = arm.model.dof_frictionloss[arm.dof_adr].copy()
+    return ServoParameters(armature, stiffness, damping, friction, np.zeros(arm.n), np.zeros(arm.n), 0.0)
 
 
 class _Fit:
@@ -227,31 +236,36 @@ class _Fit:
     """
 
     def __init__(self, arm: Arm, log: Log, file: ServoParameters):
+        self.arm = arm
         self.file = file
         self._log = log
-        self._simulation = ServoSimulation(arm, log.dt)
+        self._simulation = ServoSimulation(arm, log.dt, False)
         self._from = round(_SETTLING_S / log.dt)
         n = arm.n
         self._n = n
         typical = np.sqrt(np.mean((log.q_ref - log.q) ** 2, axis=0)) * file.stiffness
         self._friction_unit = np.maximum(_FRICTION_SHARE * typical, np.finfo(float).tiny)
         self.names = [f"{joint} {kind}" for kind in PER_JOINT for joint in arm.joint_names] + ["delay"]
-        self.z = np.zeros(5 * n + 1)  # (p,) the parameters
+        self.z = np.zeros(6 * n + 1)  # (p,) the parameters
         self.z[3 * n : 4 * n] = file.coulomb_friction / self._friction_unit
         self._file_z = self.z.copy()
-        self._low = np.full(5 * n + 1, -np.log(_RANGE))
-        self._low[3 * n :] = np.concatenate([np.zeros(n), np.full(n, -1.0), [0.0]])
-        self._high = np.full(5 * n + 1, np.log(_RANGE))
-        self._high[3 * n :] = np.concatenate([np.full(n, np.inf), np.full(n, 1.0), [_MAX_DELAY_S / log.dt]])
-        still = np.ptp(log.q, axis=0) < _MIN_TRAVEL_RAD
-        self.free = ~np.concatenate([np.tile(still, 4), np.zeros(n + 1, bool)])  # (p,) False if it keeps the file's value
+        self._low = np.full(6 * n + 1, -np.log(_RANGE))
+        self._low[3 * n :] = np.concatenate([np.zeros(n), np.full(n, -1.0), np.zeros(n), [0.0]])
+        self._high = np.full(6 * n + 1, np.log(_RANGE))
+        high = [np.full(n, np.inf), np.full(n, 1.0), np.full(n, _MAX_BACKLASH), [_MAX_DELAY_S / log.dt]]
+        self._high[3 * n :] = np.concatenate(high)
+        self._still = np.ptp(log.q, axis=0) < _MIN_TRAVEL_RAD
+        none = np.zeros(n, bool)
+        # (p,) False if it keeps the file's value
+        self.free = ~np.concatenate([np.tile(self._still, 4), none, ~none, [False]])
         self.unseen = ~self.free  # (p,) True for those that the recording does not show
+        self._absent = np.zeros(len(self.z), bool)  # (p,) True for a backlash that the recording shows to be none
         self._alone = np.zeros(len(self.z))
         self._J = np.zeros((0, 0))
 
     def parameters(self, z: Array) -> ServoParameters:
         """The parameters in SI units."""
-        rows = z[:-1].reshape(5, self._n)
+        rows = z[:-1].reshape(6, self._n)
         scale = np.exp(rows[0])
         return ServoParameters(
             armature=self.file.armature * scale,
@@ -259,6 +273,7 @@ class _Fit:
             damping=self.file.damping * scale * np.exp(rows[2]),
             coulomb_friction=self._friction_unit * scale * rows[3],
             offset=rows[4],
+            backlash=_BACKLASH_UNIT * rows[5],
             delay=max(float(z[-1] * self._log.dt), 0.0),
         )
 
@@ -282,7 +297,7 @@ class _Fit:
     def solve(self) -> None:
         from scipy.optimize import least_squares
 
-        free = self.free
+        free = self.free.copy()
 
         def whole(x: Array) -> Array:
             z = self._file_z.copy()
@@ -301,31 +316,73 @@ class _Fit:
             max_nfev=_MAX_EVALUATIONS,
         )
         self.z = whole(found.x)
-        self._J = self._jacobian(self.z)
+        self._J = np.zeros((len(found.fun), len(self.z)))
+        self._J[:, free] = found.jac
 
-    def drop_unseen(self) -> None:
-        """Gives parameters with large errors the file's value, the worst first, until the others are known relative to them."""
+    def find_backlash(self) -> None:
+        """Adds backlash to the fit, from the best of a grid for each joint, and keeps what is significant."""
+        gaps = slice(5 * self._n, 6 * self._n)
+        if self.arm.recipe is None:  # no rotors can be added to a compiled model
+            return
+        rigid = (self._simulation, self.z.copy(), self._J)
+        self._simulation = ServoSimulation(self.arm, self._log.dt, True)
+        starts = [np.where(np.arange(len(self.z)) // self._n == 5, gap, self.z) for gap in (0.0, *_START_BACKLASHES)]
+        costs = (self._many(starts) ** 2).sum(axis=1)
+        best = costs[1:].argmin(axis=0) + 1
+        found = (costs[1:].min(axis=0) < _MIN_BACKLASH_GAIN * costs[0]) & ~self._still
+        # A joint without backlash: how large one would have to be to show.
+        excess = np.maximum(costs[-1] - costs[0], np.finfo(float).tiny)
+        self._alone[gaps] = _START_BACKLASHES[-1] * np.sqrt(costs[0] / len(self._log) / excess)
+        if found.any():
+            self.z[gaps] = np.where(found, np.array((0.0, *_START_BACKLASHES))[best], 0.0)
+            self.free[gaps] = found
+            self.solve()
+            self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
+            found &= self.z[gaps] > _SIGNIFICANT * self._alone[gaps]
+            insignificant = not np.array_equal(found, self.free[gaps])
+            self.free[gaps] = found
+            if found.any() and insignificant:
+                self.solve()
+        self._absent[gaps] = ~found & ~self._still & (self._alone[gaps] < _MAX_BACKLASH_ERROR)
+        if not found.any():
+            self._simulation, self.z, self._J = rigid
+
+    def _limit(self) -> Array:
+        """(p,) the largest standard errors of parameters that a recording shows."""
         # An e-fold change of a parameter, with all others adapted to it, must move its joint by as much as the residuals.
         # Smaller effects drown in what the model leaves out, whatever the number of samples says.
         limit = np.full(len(self.z), 1.0 / np.sqrt(len(self._log)))
         limit[3 * self._n : 4 * self._n] *= np.maximum(self.z[3 * self._n : 4 * self._n], 1.0)
+        limit[5 * self._n : -1] = _MAX_BACKLASH_ERROR
         limit[-1] = 1.0
-        self._alone = self._physical(self._covariance())
-        self.unseen = ~self.free | (self._alone > limit)
+        return limit
+
+    def drop_unseen(self) -> bool:
+        """Gives parameters with large errors the file's value, the worst first, until the others are known relative to them.
+
+        True if the fit has to be solved again.
+        """
+        limit = self._limit()
+        before = self.free.copy()
+        self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
+        self.unseen = (~self.free | (self._alone > limit)) & ~self._absent
         while True:
             excess = np.sqrt(np.diag(self._covariance())) / limit
             worst = int(excess.argmax())
             if excess[worst] < 1.0:
                 break
             self.free[worst] = False
-        self.unseen |= ~self.free
-        if self.unseen.any():  # all joints show the delay: it must not make up for the file's values of single joints
+        self.unseen |= ~self.free & ~self._absent
+        if self.unseen[
+            : 5 * self._n
+        ].any():  # all joints show the delay: it must not make up for the file's values of single joints
             self.free[-1] = False
             self._file_z[-1] = self.z[-1]
+        return not np.array_equal(before, self.free)
 
     def standard_errors(self) -> ServoParameters:
         errors = np.where(self.unseen | ~self.free, self._alone, self._physical(self._covariance()))
-        rows = errors[:-1].reshape(5, self._n)
+        rows = errors[:-1].reshape(6, self._n)
         found = self.parameters(self.z)
         return ServoParameters(
             armature=found.armature * rows[0],
@@ -333,6 +390,7 @@ class _Fit:
             damping=found.damping * rows[2],
             coulomb_friction=self._friction_unit * found.armature / self.file.armature * rows[3],
             offset=rows[4],
+            backlash=_BACKLASH_UNIT * rows[5],
             delay=float(errors[-1] * self._log.dt),
         )
 
@@ -358,10 +416,11 @@ class _Fit:
         return covariance
 
     def _jacobian(self, z: Array) -> Array:
-        """(T n, p), by forward differences."""
-        size = len(z)
-        J = self._many([z, *(z + _STEP * row for row in np.eye(size))])
-        return ((J[1:] - J[0]) / _STEP).transpose(1, 2, 0).reshape(-1, size)
+        """(T n, p), by forward differences; 0 where not free."""
+        moved = self._many([z, *(z + _STEP * row for row in np.eye(len(z))[self.free])])
+        J = np.zeros((moved[0].size, len(z)))
+        J[:, self.free] = ((moved[1:] - moved[0]) / _STEP).transpose(1, 2, 0).reshape(len(J), -1)
+        return J
 
     def _many(self, candidates: Sequence[Array]) -> Array:
         """(B, T, n) residuals after the settling."""

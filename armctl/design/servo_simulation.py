@@ -13,10 +13,13 @@ import numpy as np
 from armctl.core.log import Log
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
-from armctl.sim.plant import brake, held_dofs
+from armctl.sim.drivetrain import apply_drivetrain, drivetrain_of, new_model
+from armctl.sim.plant import Plant, brake, held_dofs
 
 _ROLLOUTS_AT_ONCE = 16  # bounds the memory of their states
 _SOLVER_TOLERANCE = 1e-12  # of dry friction, so that finite differences show parameters and not its rounding
+_MIN_INERTIA_SHARE = 0.2
+_MIN_BACKLASH = 1e-6  # rad, of a joint that has a rotor in the model
 _LOST = 1e3  # rad, instead of positions that are not finite
 
 
@@ -30,6 +33,7 @@ class ServoParameters:
         damping: (n,) N m s/rad (its kv), beside the joint damping of the file.
         coulomb_friction: (n,) N m (MuJoCo's frictionloss).
         offset: (n,) rad, by which measured positions differ from those that are commanded.
+        backlash: (n,) rad, the gap between each measured motor and its link, as that of a `Plant`.
         delay: s, from a command until measured positions respond.
     """
 
@@ -38,13 +42,21 @@ class ServoParameters:
     damping: Array
     coulomb_friction: Array
     offset: Array
+    backlash: Array
     delay: float
 
 
 class ServoSimulation:
-    def __init__(self, arm: Arm, dt: float):
+    """Rollouts of an arm; with `gaps`, motors are bodies of their own, as in a plant with backlash."""
+
+    def __init__(self, arm: Arm, dt: float, gaps: bool):
         self.arm = arm
-        model = copy.copy(arm.model)
+        geared = Plant(backlash=_MIN_BACKLASH if gaps else 0.0)
+        model = new_model([arm], geared)
+        self._train = drivetrain_of([arm], geared)
+        if gaps:
+            # Forces of gaps and friction are then solved with the damping of the servo, as a light rotor needs.
+            model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_DISCRETE)
         self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9))  # from one sample to the next
         model.opt.timestep = dt / self._steps
         # Without a reset, unstable candidates end in numbers that are not finite. Contacts would take most of the time.
@@ -74,7 +86,7 @@ class ServoSimulation:
                 np.array([self._start(log, each) for each in part]),
                 np.array([self._controls(log, each.delay) for each in part]),
             )
-            columns = 1 + self.arm.qpos_adr  # behind the time
+            columns = 1 + self._train.motor_qpos  # behind the time
             moved = np.asarray(states)[:, self._steps - 1 :: self._steps, columns]
             found[first : first + len(part), 1:] = np.where(np.isfinite(moved), np.clip(moved, -_LOST, _LOST), _LOST)
             found[first : first + len(part), 0] = [log.q[0] - each.offset for each in part]
@@ -85,27 +97,43 @@ class ServoSimulation:
         model = copy.copy(self._model)
         gear = self.arm.gear
         set_rotors_and_friction(model, self.arm, parameters)
+        damping = parameters.damping
+        if self._train.rotors:
+            step = model.opt.timestep
+            # An implicit step M (v' - v) / dt + D v' + K q' acts like the inertia M + D dt / 2 and the damping D + K dt.
+            inertia = np.maximum(parameters.armature - 0.5 * step * damping, _MIN_INERTIA_SHARE * parameters.armature)
+            damping = damping - step * parameters.stiffness
+            gaps = np.maximum(parameters.backlash, _MIN_BACKLASH)
+            apply_drivetrain(model, Plant(backlash=gaps, rotor_inertia=inertia), [self.arm], self._train)
+            mujoco.mj_setConst(model, mujoco.MjData(model))
         model.actuator_gainprm[self._actuators, 0] = parameters.stiffness / gear
         model.actuator_biasprm[self._actuators, 0] = 0.0
         model.actuator_biasprm[self._actuators, 1] = -parameters.stiffness / gear**2
-        model.actuator_biasprm[self._actuators, 2] = -parameters.damping / gear**2
+        model.actuator_biasprm[self._actuators, 2] = -damping / gear**2
         brake(model, held_dofs(self.arm))
         return model
 
     def _start(self, log: Log, parameters: ServoParameters) -> Array:
         kind = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_resetData(self._model, self._data)
-        self._data.qpos[:] = self.arm.qpos(log.q[0] - parameters.offset)
+        q = log.q[0] - parameters.offset
+        self._data.qpos[: self.arm.model.nq] = self.arm.qpos(q)
+        self._data.qpos[self._train.motor_qpos] = q
         state = np.empty(mujoco.mj_stateSize(self._model, kind))
         mujoco.mj_getState(self._model, self._data, state, kind)
         return state
 
     def _controls(self, log: Log, delay: float) -> Array:
-        """(steps, nctrl), delayed commands: means over steps, which change continuously with the delay, as a fit needs."""
+        """(steps, nctrl), delayed commands: means over steps, which change continuously with the delay, as a fit needs.
+
+        A step ends with the effect of the command at its middle, half a step early.
+        """
         controls = np.tile(self.arm.home_ctrl, ((len(log) - 1) * self._steps, 1))
+        step = log.dt / self._steps
+        delay = delay + 0.5 * step
         before = delay + log.dt
         times = np.concatenate([[-before], np.arange(len(log)) * log.dt])
-        edges = np.arange(len(controls) + 1) * (log.dt / self._steps) - delay
+        edges = np.arange(len(controls) + 1) * step - delay
         for joint, address in enumerate(self.arm.ctrl_adr):
             command = log.q_ref[:, joint]
             integral = np.concatenate([[-before * command[0], 0.0], np.cumsum(command[:-1]) * log.dt])

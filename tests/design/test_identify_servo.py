@@ -29,9 +29,14 @@ ARM = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="
 SERVO = '<position name="{0}" joint="{0}" kp="{1}" kv="{2}" ctrlrange="-1.5 1.5" forcerange="-40 40"/>'
 
 
-def text(armature, stiffness, damping, loss, axis="0 1 0"):
+def text(armature, stiffness, damping, loss, axis="0 1 0", gap=0.0):
     motors = "".join(SERVO.format(*row) for row in zip("ab", stiffness, damping, strict=True))
-    return ARM.format(armature=armature, loss=loss, motors=motors, axis=axis)
+    found = ARM.format(armature=armature, loss=loss, motors=motors, axis=axis)
+    if not gap:
+        return found
+    joint = f'axis="{axis}" range="{-gap / 2} {gap / 2}" damping="0.001" armature="1e-4" solreflimit="0.004 1"'
+    between = f'<geom size="0.01" mass="0.001" contype="0"/><body><joint {joint}/><geom type="capsule"'
+    return found.replace('<geom type="capsule"', between).replace("</worldbody>", "</body></body></worldbody>")
 
 
 @pytest.fixture(scope="module")
@@ -52,28 +57,29 @@ def commands(seed):
     return before + (after - before) * share * share * (3 - 2 * share)
 
 
-def measured(command, axis="0 1 0"):
+def measured(command, axis="0 1 0", gap=0.0):
     """What encoders of 12 bits read of the real arm, stepped by MuJoCo."""
     model = mujoco.MjModel.from_xml_string(
-        text(TRUE["armature"], TRUE["stiffness"], TRUE["damping"], TRUE["coulomb_friction"], axis)
+        text(TRUE["armature"], TRUE["stiffness"], TRUE["damping"], TRUE["coulomb_friction"], axis, gap)
     )
     model.opt.timestep = STEP
     data = mujoco.MjData(model)
+    servos = [model.joint(name).qposadr[0] for name in "ab"]
     steps = round(DT / STEP)
     lag = round(DELAY / STEP)
     q = []
     for tick in range(-50, len(command)):
         if tick >= 0:
-            q.append(data.qpos.copy())
+            q.append(data.qpos[servos])
         for step in range(steps):
             data.ctrl[:] = command[max(0, (tick * steps + step - lag) // steps)]
             mujoco.mj_step(model, data)
     return np.round((np.array(q) + TRUE["offset"]) / COUNT) * COUNT
 
 
-def recorded(arm, seed, axis="0 1 0"):
+def recorded(arm, seed, axis="0 1 0", gap=0.0):
     command = commands(seed)
-    return armctl.Log.from_positions(DT, measured(command, axis), command, joint_names=arm.joint_names)
+    return armctl.Log.from_positions(DT, measured(command, axis, gap), command, joint_names=arm.joint_names)
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +96,17 @@ def test_parameters_are_those_of_the_real_servos(known):
         assert getattr(found.parameters, name) == pytest.approx(true, rel=0.1), name
     assert found.parameters.delay == pytest.approx(DELAY, rel=0.1)
     assert 0 < found.errors.delay < 1e-3
+
+
+def test_backlash_is_found_where_there_is_one(known, file):
+    arm, without = known
+    assert not without.parameters.backlash.any()
+    found = armctl.identify_servo(arm, recorded(arm, 1, gap=0.02), judge=recorded(arm, 2, gap=0.02), source=file)
+    assert found, found.reason
+    assert found.unseen == ()
+    assert found.parameters.backlash == pytest.approx(0.02, rel=0.3)
+    assert found.parameters.armature == pytest.approx(TRUE["armature"], rel=0.1)
+    assert (found.errors.backlash > 0).all()
 
 
 def test_another_motion_is_predicted_to_the_resolution_of_the_encoder(known):
@@ -118,7 +135,7 @@ def test_files_have_the_identified_servos(known, file, tmp_path):
         data.ctrl[:] = row
         mujoco.mj_step(model, data, round(DT / model.opt.timestep))
     simulated = found.positions(armctl.Log.from_positions(DT, np.zeros_like(command), command, joint_names=arm.joint_names))
-    assert np.abs(np.array(q) + known.offset - simulated)[25:].max() < 5e-3
+    assert np.abs(np.array(q) + known.offset - simulated)[25:].max() < 6e-3  # its delay is a whole number of steps
     urdf = armctl.load(found.to_urdf(tmp_path / "new.urdf"), tip="tip")
     assert urdf.model.dof_frictionloss[urdf.dof_adr] == pytest.approx(known.coulomb_friction)
     assert found.applied_to(arm).mass_matrix(arm.home)[1, 1] > arm.mass_matrix(arm.home)[1, 1]
