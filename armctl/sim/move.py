@@ -240,6 +240,10 @@ class ControlledArms:
             info = self._run_info(name, duration, targets.get(tip, NO_TARGET), started, error)
             self._logs[tip] = recorder.log(arm, info, self._slices[tip], self._wrenches[tip])
         self._give_log(error)
+        self._check_logs()
+
+    def _check_logs(self) -> None:
+        """Called after a run has new logs."""
 
     def _run_info(
         self, controller: str, duration: float, target: Array, started: float, error: BaseException | None
