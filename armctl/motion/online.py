@@ -94,13 +94,10 @@ class OnlineMotion:
         self._brake()
 
     def step(self, dt: float) -> Setpoint:
-        """Advances by one tick.
+        """Advances by one tick, to the setpoint at its end: q, v, a, each (n,).
 
         Args:
             dt: s, the tick, at least 0.
-
-        Returns:
-            q, v, a at its end, each (n,).
         """
         self._t += number("dt", dt, 0.0)
         return self.setpoint

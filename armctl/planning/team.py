@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
@@ -21,9 +21,6 @@ from armctl.planning.move_free import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.robot.joint_map import JointMap
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 _MAX_COMBINATIONS = 256  # of the solutions of all arms
 _MAX_ROOTS = 8

@@ -163,10 +163,7 @@ class Study(StudyPlan):
             return study_result(self, store.outcomes(self.runs))
 
     def result(self, folder: str | os.PathLike[str] = ".") -> StudyResult:
-        """The results of the runs that are finished, without making any.
-
-        Returns:
-            The results; not `ok` if runs are missing.
+        """The results of the runs that are finished, without making any; not `ok` if runs are missing.
 
         Raises:
             InputError: The file is none of a study.
