@@ -9,7 +9,6 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.limits import Limits
-from armctl.core.validation import choice
 from armctl.robot.arm import Arm
 
 _MIN_JOINTS_FOR_POSES = 6
@@ -56,8 +55,3 @@ def target_limits(arm: Arm) -> Limits:
     high = np.where(np.isfinite(limits.q_max), limits.q_max, arm.home + _TURN)
     margin = _STOP_MARGIN * (high - low)
     return replace(limits, q_min=low + margin, q_max=high - margin)
-
-
-def read_mode(action: object) -> ActionMode:
-    """The mode of a name; InputError if there is none."""
-    return ACTION_MODES[choice("action", action, ACTION_MODES)]
