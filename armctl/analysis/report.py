@@ -151,11 +151,7 @@ class Report(Verdict):
         )
 
     def to_dict(self) -> dict[str, object]:
-        """The figures by name, for JSON: NaN and infinity become None.
-
-        Returns:
-            Every attribute but the log.
-        """
+        """Every attribute but the log by name, for JSON: NaN and infinity become None."""
         figures = {k: v for k, v in self.__dict__.items() if k != "log"}
         figures["contacts"] = [contact._asdict() for contact in self.contacts]
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in figures.items()}
@@ -177,7 +173,8 @@ class Report(Verdict):
             f" {self.real_time_factor:.0f} times real time",
             "tip error": f"final {length_text(self.final_tip_error_m)}{turned}; while moving RMS {length_text(self.tip_rms_m)},"
             f" max {length_text(self.tip_max_m)}",
-            "joint error": f"while moving RMS {_joint_rms(self, with_unit=True)}, max {_joint_max(self, with_unit=True)}",
+            "joint error": f"while moving RMS {_joint_error(self.joint_rms_rad, self.joint_rms_m, with_unit=True)},"
+            f" max {_joint_error(self.joint_max_rad, self.joint_max_m, with_unit=True)}",
             "at the goal": f"{settled}, overshoot {length_text(self.overshoot_m)}",
             "torque": f"peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
             f" {100 * self.saturated_fraction:.1f} % of the time, chatter {_chatter_text(self.chatter_nm)} {torque_unit}",
@@ -240,8 +237,8 @@ def report_table(reports: Sequence[Report]) -> Table:
         [
             r.controller,
             r.plant,
-            _joint_rms(r, with_unit=mixed),
-            _joint_max(r, with_unit=mixed),
+            _joint_error(r.joint_rms_rad, r.joint_rms_m, with_unit=mixed),
+            _joint_error(r.joint_max_rad, r.joint_max_m, with_unit=mixed),
             length_text(r.tip_rms_m),
             length_text(r.tip_max_m),
             length_text(r.final_tip_error_m),
@@ -357,15 +354,7 @@ def _chatter_text(chatter: float) -> str:
     return "<0.001" if chatter < _MIN_CHATTER_SHOWN else f"{chatter:.2g}"
 
 
-def _joint_rms(report: Report, *, with_unit: bool) -> str:
-    return _joint_figure(report.joint_rms_rad, report.joint_rms_m, with_unit)
-
-
-def _joint_max(report: Report, *, with_unit: bool) -> str:
-    return _joint_figure(report.joint_max_rad, report.joint_max_m, with_unit)
-
-
-def _joint_figure(hinges: float, slides: float, with_unit: bool) -> str:
+def _joint_error(hinges: float, slides: float, *, with_unit: bool) -> str:
     """The error of the hinge joints and that of the slide joints, of those that the arm has."""
     known = [(value, unit) for value, unit in ((hinges, "rad"), (slides, "m")) if not math.isnan(value)]
     texts = ["<1e-15" if value < _MIN_JOINT_ERROR_SHOWN else f"{value:.1e}" for value, _ in known]

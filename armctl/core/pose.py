@@ -78,7 +78,7 @@ class Pose:
     __delattr__ = __setattr__  # type: ignore[assignment]
 
     def __reduce__(self):
-        return _rebuilt, (np.array(self.position), np.array(self.rotation))
+        return Pose.from_rotation, (np.array(self.position), np.array(self.rotation))
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Pose:
@@ -220,10 +220,6 @@ def _mujoco() -> ModuleType:
     import mujoco
 
     return mujoco
-
-
-def _rebuilt(position: Array, rotation: Array) -> Pose:
-    return Pose.from_rotation(position, rotation)
 
 
 def _canonical(wxyz: Array) -> Array:

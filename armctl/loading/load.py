@@ -101,7 +101,8 @@ class _Recipe:
                 _, flange = find_ends(source, analysis, ArmEnds(only.tip, only.base))
             body = next(b for b in spec.bodies if b.id == flange.body)
             ends = [replace(only, tip=mount(spec, body, flange.T_body_tip, locate(self.tool, tool=True)))]
-        _add_scene(spec, self.scene)
+        if self.scene is not None:
+            (self.scene if isinstance(self.scene, Scene) else Scene(self.scene)).build(spec)
         original = source.compile_without_textures(spec)
         with _naming(source.name):
             check_timestep(original)
@@ -158,7 +159,8 @@ def load(
         _refuse_additions(hold_base=hold_base, tool=tool is not None, scene=scene is not None, srdf=srdf is not None)
         return _load_compiled(robot, [ArmEnds(tip, base, tip_offset)])[0]
     ends = (ArmEnds(tip, base, tip_offset),)
-    return _load_recipe(_Recipe(_kept(robot), ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf))[0]
+    recipe = _Recipe(_kept(robot), ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf)
+    return _arms(*recipe.prepared(), recipe)[0]
 
 
 def load_arms(
@@ -208,7 +210,8 @@ def load_arms(
     if isinstance(robot, mujoco.MjModel):
         _refuse_additions(hold_base=hold_base, scene=scene is not None, srdf=srdf is not None)
         return _load_compiled(robot, ends)
-    return _load_recipe(_Recipe(_kept(robot), tuple(ends), hold_base=hold_base, tool=None, scene=scene, srdf=srdf))
+    recipe = _Recipe(_kept(robot), tuple(ends), hold_base=hold_base, tool=None, scene=scene, srdf=srdf)
+    return _arms(*recipe.prepared(), recipe)
 
 
 def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> list[SerialChain]:
@@ -235,11 +238,6 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
 def _kept(robot: str | os.PathLike[str] | mujoco.MjSpec) -> str | os.PathLike[str] | mujoco.MjSpec:
     """A robot as it is now: a caller can change a specification later."""
     return locate(robot).read()[0] if isinstance(robot, mujoco.MjSpec) else robot
-
-
-def _load_recipe(recipe: _Recipe) -> tuple[Arm, ...]:
-    name, prepared, notes = recipe.prepared()
-    return _arms(name, prepared, notes, recipe)
 
 
 def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
@@ -294,11 +292,6 @@ def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:
     if srdf is None or not srdf.disabled:
         return False
     return is_given or srdf.path.stem == urdf.path.stem.removesuffix(".urdf")
-
-
-def _add_scene(spec: mujoco.MjSpec, scene: Scene | str | os.PathLike[str] | None) -> None:
-    if scene is not None:
-        (scene if isinstance(scene, Scene) else Scene(scene)).build(spec)
 
 
 def _refuse_additions(**given: bool) -> None:

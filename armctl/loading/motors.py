@@ -61,15 +61,13 @@ def adapt_keyframes(spec: mujoco.MjSpec, analysis: Transmissions, arms: Sequence
     """Gives the keyframes the controls and states of the actuators after `make_motors` has changed those of all arms."""
     model = analysis.model
     motors = {a.id: a for a in spec.actuators}
-    changed = {
-        actuator
-        for transmissions in arms
-        for _, actuator, _, _ in _motors_of(analysis, transmissions, np.ones(len(transmissions)))
-    }
-    states = {
-        actuator: [0.0] * state_count(motors[actuator].dynprm) if _is_dc(motors[actuator]) else [] for actuator in changed
-    }
-    controls = {actuator: [0.0] for actuator in changed}
+    states: dict[int, list[float]] = {}
+    controls: dict[int, list[float]] = {}
+    for transmissions in arms:
+        for _, actuator, _, _ in _motors_of(analysis, transmissions, np.ones(len(transmissions))):
+            is_dc = motors[actuator].gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR
+            states[actuator] = [0.0] * state_count(motors[actuator].dynprm) if is_dc else []
+            controls[actuator] = [0.0]
     for key in spec.keys:
         key.act = _in_blocks(list(key.act), model.actuator_actadr, model.actuator_actnum, states)
         key.ctrl = _in_blocks(list(key.ctrl), model.actuator_ctrladr, model.actuator_ctrlnum, controls)
@@ -145,10 +143,6 @@ def _has_memory(model: mujoco.MjModel, actuator: int) -> bool:
     own_states = state_count(model.actuator_dynprm[actuator]) if is_dc_motor(model, actuator) else 0
     has_state = model.actuator_actnum[actuator] != own_states
     return bool(has_state or model.actuator_plugin[actuator] >= 0 or model.actuator_ctrlnum[actuator] != 1)
-
-
-def _is_dc(motor: mujoco.MjsActuator) -> bool:
-    return bool(motor.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR)
 
 
 def _in_blocks(values: list[float], first: IntArray, count: IntArray, changed: dict[int, list[float]]) -> list[float]:

@@ -99,7 +99,6 @@ class IterativeLearning:
     def _corrected(self) -> JointTrajectory:
         q, v, a = self.motion.sample(self._times)[:3]
         speed = np.array(np.gradient(self._correction, self._times, axis=0))
-        speed = np.array(speed)
         speed[[0, -1]] = 0.0
         acceleration = np.array(np.gradient(speed, self._times, axis=0))
         acceleration[[0, -1]] = 0.0

@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.collision.clearance import clearance_of
 from armctl.control import Controller, State, controller_by_name, controller_name
 from armctl.core import hooks
@@ -31,9 +31,6 @@ from armctl.sim.drive import Drive
 from armctl.sim.recorder import Recorder, RunInfo, ticks_for
 from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 _SETTLE_TIMEOUT_S = 1.0  # for the arm to come to rest after a motion
 SETTLE_CHECK_INTERVAL_S = 0.02
@@ -240,6 +237,10 @@ class ControlledArms:
             info = self._run_info(name, duration, targets.get(tip, NO_TARGET), started, error)
             self._logs[tip] = recorder.log(arm, info, self._slices[tip], self._wrenches[tip])
         self._give_log(error)
+        self._check_logs()
+
+    def _check_logs(self) -> None:
+        """Called after a run has new logs."""
 
     def _run_info(
         self, controller: str, duration: float, target: Array, started: float, error: BaseException | None

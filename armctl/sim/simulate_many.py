@@ -101,7 +101,7 @@ def run_many(
 
     It is called in the thread of the run; a log of which nothing is kept is freed at once.
     """
-    threads = _processors() if threads is None else integer("threads", threads, 1)
+    threads = processors() if threads is None else integer("threads", threads, 1)
 
     def result(run: Run) -> _Result:
         law = run.controller.fresh() if has_compiled_law(run.controller, arm.n) else run.controller
@@ -135,5 +135,6 @@ def _simulated(arm: Arm, run: Run, dwell: float) -> Log:
         return error.log
 
 
-def _processors() -> int:
+def processors() -> int:
+    """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

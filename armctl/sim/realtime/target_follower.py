@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.core.latest_worker import LatestWorker
 from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.target import Target
@@ -22,9 +22,6 @@ from armctl.robot.arm import Arm
 from armctl.sim.move import PlannedMove, plan_free
 from armctl.sim.obstacles import Obstacles
 from armctl.sim.realtime.follower_reference import FollowerReference
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 _IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
 _MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
