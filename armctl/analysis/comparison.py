@@ -129,7 +129,12 @@ def _with_margins(arm: Arm, pair: _Pair, report: Report, poses: int) -> Report:
         found = margins(arm, pair.controller, poses, [pair.plant])
     except ModelError:
         return report
-    return replace(report, delay_margin_s=found.delay.value, peak_sensitivity=found.peak_sensitivity.value)
+    return replace(
+        report,
+        delay_margin_s=found.delay.value,
+        peak_sensitivity=found.peak_sensitivity.value,
+        damping_ratio=found.damping.value,
+    )
 
 
 def _distinct(names: Iterable[str]) -> list[str]:

@@ -16,7 +16,17 @@ from armctl.design.margins import Margins
 from armctl.robot.arm import Arm
 from armctl.sim.plant import NOMINAL, Plant
 
-_HEADER = ("controller", "delay margin, ms", "in ticks", "gain margin", "phase margin, deg", "Ms", "worst delay at q", "note")
+_HEADER = (
+    "controller",
+    "delay margin, ms",
+    "in ticks",
+    "gain margin",
+    "phase margin, deg",
+    "Ms",
+    "least damping",
+    "worst delay at q",
+    "note",
+)
 
 
 def margins_table(found: Sequence[Margins]) -> Table:
@@ -49,6 +59,7 @@ def _row(margins: Margins) -> list[str]:
         _text(margins.gain.value, ".3g"),
         _text(degrees(margins.phase.value), ".0f"),
         _text(margins.peak_sensitivity.value, ".2f"),
+        _text(margins.damping.value, ".2g"),
         " ".join(f"{x:.2f}" for x in margins.delay.q),
         margins.reason,
     ]

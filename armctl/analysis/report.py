@@ -55,6 +55,7 @@ class Report(Verdict):
         real_time_factor: Simulated time divided by computing time.
         delay_margin_s: The smallest delay margin of the controller on the plant; NaN unless `compare` computed margins.
         peak_sensitivity: Its largest Ms; NaN as for the delay margin.
+        damping_ratio: That of its least damped vibration, likewise; infinite if there is none.
         residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
             rests.
     """
@@ -84,6 +85,7 @@ class Report(Verdict):
     log: Log
     delay_margin_s: float = math.nan
     peak_sensitivity: float = math.nan
+    damping_ratio: float = math.nan
     residual_vibration_m: float = math.nan
 
     @classmethod
@@ -219,7 +221,7 @@ def report_table(reports: Sequence[Report]) -> Table:
     mixed = len(joint_units) > 1
     joint = "" if mixed else f", {units.label(joint_units)}"
     has_margins = not all(math.isnan(r.peak_sensitivity) for r in reports)
-    margin_header = ["delay margin, ms", "Ms"] if has_margins else []
+    margin_header = ["delay margin, ms", "Ms", "least damping"] if has_margins else []
     header = [
         "controller",
         "plant",
@@ -244,7 +246,7 @@ def report_table(reports: Sequence[Report]) -> Table:
             length_text(r.final_tip_error_m),
             f"{100 * r.peak_torque_ratio:.0f} %",
             _chatter_text(r.chatter_nm),
-            *([_margin_text(1e3 * r.delay_margin_s), _margin_text(r.peak_sensitivity)] if has_margins else []),
+            *(map(_margin_text, (1e3 * r.delay_margin_s, r.peak_sensitivity, r.damping_ratio)) if has_margins else ()),
             r.verdict.split(":")[0],
         ]
         for r in reports
@@ -276,6 +278,7 @@ _RANKED: dict[str, Callable[[Report], float]] = {
     "final tip": lambda r: r.final_tip_error_m,
     "delay margin": lambda r: -r.delay_margin_s,
     "Ms": lambda r: r.peak_sensitivity,
+    "least damping": lambda r: -r.damping_ratio,
 }
 
 

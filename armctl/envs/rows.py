@@ -12,7 +12,7 @@ from armctl.control import State, controller_by_name
 from armctl.control.interface import has_compiled_law
 from armctl.core.log import SimulationError
 from armctl.core.validation import Array, IntArray
-from armctl.envs.actions import ActionMode, target_limits
+from armctl.envs.actions import ActionMode, smoothing_ticks, target_limits
 from armctl.envs.randomization import ObjectFactors, Randomization
 from armctl.envs.simulated_arms import SimulatedArms
 from armctl.envs.tasks.interface import Episode, Task
@@ -191,6 +191,7 @@ class Rows:
             joint_scale=mode.joint_scale * self.ticks * arm.dt,
             position_scale=mode.position_scale,
             rotation_scale=mode.rotation_scale,
+            smoothing=smoothing_ticks(arm) if mode.is_smooth else 1,
             approach_rate=min(_APPROACH_RATE, _MAX_SHARE_PER_TICK / arm.dt),
             tip_damping=_IK_DAMPING,
             home_tip=np.concatenate([home.position, home.rotation.ravel()]),

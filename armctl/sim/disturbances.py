@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -34,9 +35,7 @@ class Disturbances:
         self._data = data
         self._train = train
         self._pushed = pushed_arm.n
-        is_slide = np.array([unit == "m" for unit in train.actuation.units])
-        turn = np.where(is_slide, 1.0, 2 * np.pi)
-        self._step = turn / 2**plant.encoder_bits if plant.encoder_bits else None
+        self._step = encoder_steps(plant, train.actuation.units) if plant.encoder_bits else None
         longest = int(np.ceil((train.sensors.delay + train.sensors.interval).max() / dt))
         self._late: deque[Array] = deque(maxlen=plant.sensor_delay + longest + 2)
         self._jitter = np.random.default_rng([plant.seed, 1])
@@ -160,6 +159,12 @@ class Disturbances:
         for push in self._pushes:
             wrenches[(push.start <= times) & (times < push.start + push.duration)] += push.wrench
         return wrenches
+
+
+def encoder_steps(plant: Plant, units: Sequence[str]) -> Array:
+    """(n,) rad (m), the steps of a plant's encoders; 0 for exact positions."""
+    turn = np.where(np.asarray(units) == "m", 1.0, 2 * np.pi)
+    return turn * (0.5**plant.encoder_bits if plant.encoder_bits else 0.0)
 
 
 def tick_times(start: float, ticks: int, steps: int, timestep: float) -> Array:
