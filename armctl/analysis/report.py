@@ -220,38 +220,23 @@ def report_table(reports: Sequence[Report]) -> Table:
     joint_units = list(dict.fromkeys(unit for r in reports for unit in r.log.units))
     mixed = len(joint_units) > 1
     joint = "" if mixed else f", {units.label(joint_units)}"
-    has_margins = not all(math.isnan(r.peak_sensitivity) for r in reports)
-    margin_header = ["delay margin, ms", "Ms", "least damping"] if has_margins else []
-    header = [
-        "controller",
-        "plant",
-        f"joint RMS{joint}",
-        f"joint max{joint}",
-        "tip RMS",
-        "tip max",
-        "final tip error",
-        "peak torque",
-        f"chatter, {units.label(units.of_torque(joint_units))}",
-        *margin_header,
-        "verdict",
-    ]
-    rows = [
-        [
-            r.controller,
-            r.plant,
-            _joint_error(r.joint_rms_rad, r.joint_rms_m, with_unit=mixed),
-            _joint_error(r.joint_max_rad, r.joint_max_m, with_unit=mixed),
-            length_text(r.tip_rms_m),
-            length_text(r.tip_max_m),
-            length_text(r.final_tip_error_m),
-            f"{100 * r.peak_torque_ratio:.0f} %",
-            _chatter_text(r.chatter_nm),
-            *(map(_margin_text, (1e3 * r.delay_margin_s, r.peak_sensitivity, r.damping_ratio)) if has_margins else ()),
-            r.verdict.split(":")[0],
-        ]
-        for r in reports
-    ]
-    return Table(header, rows)
+    columns: dict[str, Callable[[Report], str]] = {
+        "controller": lambda r: r.controller,
+        "plant": lambda r: r.plant,
+        f"joint RMS{joint}": lambda r: _joint_error(r.joint_rms_rad, r.joint_rms_m, with_unit=mixed),
+        f"joint max{joint}": lambda r: _joint_error(r.joint_max_rad, r.joint_max_m, with_unit=mixed),
+        "tip RMS": lambda r: length_text(r.tip_rms_m),
+        "tip max": lambda r: length_text(r.tip_max_m),
+        "final tip error": lambda r: length_text(r.final_tip_error_m),
+        "peak torque": lambda r: f"{100 * r.peak_torque_ratio:.0f} %",
+        f"chatter, {units.label(units.of_torque(joint_units))}": lambda r: _chatter_text(r.chatter_nm),
+    }
+    if not all(math.isnan(r.peak_sensitivity) for r in reports):
+        columns["delay margin, ms"] = lambda r: _margin_text(1e3 * r.delay_margin_s)
+        columns["Ms"] = lambda r: _margin_text(r.peak_sensitivity)
+        columns["least damping"] = lambda r: _margin_text(r.damping_ratio)
+    columns["verdict"] = lambda r: r.verdict.split(":")[0]
+    return Table(list(columns), [[cell(r) for cell in columns.values()] for r in reports])
 
 
 def best_cells(reports: Sequence[Report], table: Table) -> set[tuple[int, int]]:

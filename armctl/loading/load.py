@@ -24,13 +24,7 @@ from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
 from armctl.loading.describe import ArmEnds, describe_arms, find_ends
 from armctl.loading.home import remove_free_joints
-from armctl.loading.model_checks import (
-    check_joint_parameters,
-    check_mass_matrix,
-    check_timestep,
-    drag_notes,
-    reversed_range_notes,
-)
+from armctl.loading.model_checks import check_joint_parameters, check_mass_matrix, check_timestep, model_notes
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.loading.scene import Scene
 from armctl.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
@@ -111,7 +105,7 @@ class _Recipe:
         prepared = make_arm_model(source, spec, analysis, plans, robot.loose_links, edit)
         rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
         quiet_notes = (*filter(None, [rating]), *robot.quiet_notes, *prepared.quiet_notes)
-        return source.name, replace(prepared, quiet_notes=quiet_notes), [*robot.notes, *_model_notes(original)]
+        return source.name, replace(prepared, quiet_notes=quiet_notes), [*robot.notes, *model_notes(original)]
 
 
 def load(
@@ -248,12 +242,7 @@ def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm,
         analysis = Transmissions(model)
         plans = describe_arms(source, analysis, ends)
         prepared = make_arm_model_from_compiled(analysis, plans)
-    return _arms(source.name, prepared, _model_notes(model), None)
-
-
-def _model_notes(model: mujoco.MjModel) -> list[str]:
-    """What is doubtful in the whole model, one sentence each."""
-    return [*drag_notes(model), *reversed_range_notes(model)]
+    return _arms(source.name, prepared, model_notes(model), None)
 
 
 def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Recipe | None) -> tuple[Arm, ...]:

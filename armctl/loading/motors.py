@@ -35,11 +35,15 @@ def make_motors(
     motors = {a.id: a for a in spec.actuators}
     voltages = {each.actuator: each.voltage for each in dc_motors if each is not None}
     for transmission in transmissions:
-        for joint in transmission.coupled:
-            joints[joint].actgravcomp = False  # as a motor's torque it would count against the motor's limit
+        for coupled in transmission.coupled:
+            joints[coupled].actgravcomp = False  # as a motor's torque it would count against the motor's limit
     for transmission, actuator, gear, bound in _motors_of(analysis, transmissions, tau_max):
         motor = motors[actuator]
-        _move_reflected(motor, joints[transmission.joint], gear)
+        joint = joints[transmission.joint]  # takes the motor's armature and damping, which MuJoCo would add there anyway
+        joint.armature = joint.armature + gear**2 * motor.armature
+        joint.damping = np.asarray(joint.damping) + gear**2 * np.asarray(motor.damping)
+        motor.armature = 0.0
+        motor.damping = np.zeros_like(motor.damping)
         if actuator in voltages:
             set_current_controller(motor, voltages[actuator])
             motor.ctrlspec = TORQUE_COMMAND
@@ -161,11 +165,3 @@ def _enable_actuators(option: mujoco.MjOption, groups: set[int]) -> bool:
     option.disableflags &= ~flag
     option.disableactuator &= ~bits
     return disabled
-
-
-def _move_reflected(motor: mujoco.MjsActuator, joint: mujoco.MjsJoint, gear: float) -> None:
-    """Moves an actuator's own armature and damping to its joint, where MuJoCo would add them anyway."""
-    joint.armature = joint.armature + gear**2 * motor.armature
-    joint.damping = np.asarray(joint.damping) + gear**2 * np.asarray(motor.damping)
-    motor.armature = 0.0
-    motor.damping = np.zeros_like(motor.damping)

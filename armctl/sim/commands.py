@@ -329,7 +329,6 @@ class Commands:
         ends_at_target: bool = True,
         **speeds: Unpack[PathOptions],
     ) -> MoveResult:
-        """Moves along a given path, if it is free."""
         checker = self._checker(avoid, allow)
         planner = partial(planner, **speeds)
         return self._move(goal, partial(plan_move, self.arm, goal, planner, ends_at_target=ends_at_target, checker=checker))

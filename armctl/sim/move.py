@@ -172,7 +172,8 @@ class ControlledArms:
             hold = drive.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + _SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:
-                if all(self._is_still(tip) and moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories):
+                still = all(drive.is_still(self._slices[tip]) for tip in trajectories)
+                if still and all(moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories):
                     break
                 drive.run(self._controller, hold, recorder)
         duration = float(drive.data.time - begin)
@@ -276,9 +277,6 @@ class ControlledArms:
                 row[:, self._slices[tip]] = column
         return rows
 
-    def _is_still(self, tip: str) -> bool:
-        return self.drive.is_still(self._slices[tip])
-
     def _reason(self, tip: str, move: PlannedMove) -> str:
         """Why a move that ran is not ok; empty if it is."""
         reason = move.refusal or self.drive.failure
@@ -288,7 +286,7 @@ class ControlledArms:
             off = above_text(position_error, move.target.tolerance)
             reason = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
             reason = "; ".join([reason, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
-        if not reason and not self._is_still(tip):
+        if not reason and not self.drive.is_still(self._slices[tip]):
             reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
         if reason and not move.refusal and isinstance(self.drive, Stepper):
             q = self.drive.q_ref[self._slices[tip]]

@@ -24,13 +24,9 @@ _QUEUED_PER_THREAD = 4  # runs that wait for a thread; more results would have t
 
 
 class Run(NamedTuple):
-    """One run of many. As the arguments of `simulate`.
+    """One run of many. As the arguments of `simulate`."""
 
-    Attributes:
-        controller: A controller; runs with the same one do not share its memory.
-    """
-
-    controller: Controller
+    controller: Controller  # runs with the same one do not share its memory
     trajectory: Trajectory
     plant: Plant
 

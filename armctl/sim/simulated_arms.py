@@ -31,7 +31,6 @@ class ConstantTorque:
         self.tau = tau
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque, (n,) N m."""
         return self.tau
 
 
@@ -45,7 +44,6 @@ class SimulatedArms(ControlledArms):
 
     @property
     def logs(self) -> dict[str, Log]:
-        """The log of each arm's last run; empty before the first."""
         if self._steps is not None and self._steps.recorder.size != self._steps.logged:
             self._keep_step_logs(self._steps)
         return self._logs

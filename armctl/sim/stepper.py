@@ -148,12 +148,10 @@ class Stepper:
         return f"{self.failure}; call reset() to start again" if self.diverged else ""
 
     def is_still(self, joints: slice) -> bool:
-        """Whether some of the joints are at rest."""
         return bool(np.abs(self._train.link_speeds(self.data.qvel)[joints]).max() < AT_REST_SPEED)
 
     @property
     def state(self) -> State:
-        """The true state of all arms now."""
         q = self._train.link_positions(self.data.qpos)
         v = self._train.link_speeds(self.data.qvel)
         wrench = self._wrench_sensor.read(self._push)
@@ -217,7 +215,6 @@ class Stepper:
             self.data.eq_active[:] = self.model.eq_active0
 
     def recorder(self) -> Recorder:
-        """A recorder for a run."""
         return Recorder(self.model, self.actuation, self._reference_tips, self._train)
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
@@ -231,7 +228,6 @@ class Stepper:
         return reference
 
     def hold_reference(self, seconds: float) -> TickReference:
-        """A reference that stays where the last one ended, for at least one tick."""
         still = np.zeros((max(1, round(seconds / self.dt)), self.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
@@ -382,19 +378,15 @@ class Stepper:
                 mj_step(model, data, substeps)
                 torque_rows[row] = self.motor_torque if motor_torque is None else motor_torque
                 if data.ncon or touching:
-                    touching = self._noted_contacts(rows, row, touching)
+                    before = touching
+                    touching = data.contact.geom.tobytes()
+                    if touching != before:
+                        rows.contacts.append((row, touching))
                 count = row + 1
         finally:
             rows.count = count
             reached = rows.reference.q[row]
             self.q_ref = reached if hypot(*reached.tolist()) < inf else self.state.q
-
-    def _noted_contacts(self, rows: TickRows, row: int, before: bytes) -> bytes:
-        """The geoms that touch now, as bytes; noted if they are not those of the tick before."""
-        touching = self.data.contact.geom.tobytes()
-        if touching != before:
-            rows.contacts.append((row, touching))
-        return touching
 
     def _measure(self, q: Array, v: Array) -> tuple[Array, Array]:
         """The measurement of this tick; `measured_state` may have made it already."""

@@ -57,11 +57,7 @@ class Turn:
 
     def at(self, share: float) -> Array:
         """The orientation (3, 3) after a share of it, 0 to 1."""
-        return rotation_from_vector(share * self.vector) @ self.start if self._turns else self.start
-
-    @cached_property
-    def _turns(self) -> bool:
-        return bool(self.vector.any())
+        return rotation_from_vector(share * self.vector) @ self.start if self.length else self.start
 
 
 class Straight:

@@ -76,7 +76,6 @@ class TargetFollower:
         self.stand(arm.home, arm.home)
 
     def close(self) -> None:
-        """Ends the thread that plans."""
         if self._worker is not None:
             self._worker.close()
 
@@ -150,7 +149,7 @@ class TargetFollower:
         self.refusal = ""
         self.path: PlannedPath | None = None
         self._request: object = None
-        self._answer: _Answer | None = None
+        self._answer: tuple[object, PlannedMove] | None = None  # to which request, and what was planned
         self.reference.stop()
 
     @property
@@ -243,7 +242,7 @@ class TargetFollower:
             except Exception as error:
                 _log.exception("planning failed")
                 move = PlannedMove(target, refusal=f"planning failed: {error}")
-            self._answer = _Answer(request, move)
+            self._answer = (request, move)
 
         if self._worker is None:
             self._worker = LatestWorker("armctl planning")
@@ -252,11 +251,12 @@ class TargetFollower:
     def _take_answer(self) -> None:
         """Shows what was planned, and follows it as soon as the reference has come to rest."""
         answer = self._answer
-        if answer is None or answer.request is not self._request:
+        if answer is None or answer[0] is not self._request:
             return
-        trajectory = answer.move.trajectory
+        move = answer[1]
+        trajectory = move.trajectory
         if trajectory is None:
-            self.refusal = answer.move.refusal
+            self.refusal = move.refusal
             self._request = None
             self._finished = True
             return
@@ -267,9 +267,3 @@ class TargetFollower:
             self._finished = True
             assert isinstance(trajectory, JointTrajectory)
             self.reference.follow(trajectory)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
-    request: object
-    move: PlannedMove
