@@ -72,7 +72,7 @@ private:
     // reduces the error, is damped less and less.
     static constexpr double steady_speed_rate = 12.0;
     static constexpr double min_relieved_ratio = 0.2;     // of the target, what the damping is relieved of at least
-    static constexpr double max_relieved_ratio = 0.6;     // and at most, where the wall itself damps the tip critically
+    static constexpr double max_relieved_ratio = 0.9;     // and at most, where the wall itself damps the tip critically
     static constexpr double relief_rate = 30.0;           // 1/s, of the depth, a bound for the steady speed
     static constexpr double max_integrated_error = 0.08;  // of the target
     // 1/s. On foam, the error of the force of a damped tip decays at stiffness / (damping_rate mass), 3 /s for 10 kg at 1e3 N/m.
