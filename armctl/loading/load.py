@@ -32,7 +32,6 @@ from armctl.loading.tip import tip_on
 from armctl.loading.undriven import add_missing_motors
 from armctl.loading.urdf_file import UrdfFile
 from armctl.mjmodel.edit import copy_options
-from armctl.mjmodel.queries import model_name
 from armctl.mjmodel.transmissions import Transmissions
 from armctl.robot.arm import Arm
 from armctl.robot.parity import check_parity
@@ -236,7 +235,7 @@ def _kept(robot: str | os.PathLike[str] | mujoco.MjSpec) -> str | os.PathLike[st
 
 def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
     """The arms of a compiled model, which is not changed."""
-    source = Source(model_name(model) or "model", None)
+    source = Source(model.names[: model.names.index(b"\0")].decode(errors="replace") or "model", None)
     with _naming(source.name):
         check_timestep(model)
         analysis = Transmissions(model)
