@@ -19,6 +19,7 @@ from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
+from armctl.design.loop import MIN_DAMPING_RATIO
 
 _MAX_CONTACTS_SHOWN = 3
 _MIN_JOINT_ERROR_SHOWN = 1e-15
@@ -224,7 +225,8 @@ def report_table(reports: Sequence[Report]) -> Table:
     mixed = len(joint_units) > 1
     joint = "" if mixed else f", {units.label(joint_units)}"
     has_margins = not all(math.isnan(r.peak_sensitivity) for r in reports)
-    margin_header = ["delay margin, ms", "Ms", "least damping"] if has_margins else []
+    vibrates = any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports)
+    margin_header = ["delay margin, ms", "Ms", *(["least damping"] if vibrates else [])] if has_margins else []
     header = [
         "controller",
         "plant",
@@ -249,7 +251,7 @@ def report_table(reports: Sequence[Report]) -> Table:
             length_text(r.final_tip_error_m),
             f"{100 * r.peak_torque_ratio:.0f} %",
             _chatter_text(r.chatter_nm),
-            *(map(_margin_text, (1e3 * r.delay_margin_s, r.peak_sensitivity, r.damping_ratio)) if has_margins else ()),
+            *map(_margin_text, (1e3 * r.delay_margin_s, r.peak_sensitivity, r.damping_ratio)[: len(margin_header)]),
             r.verdict.split(":")[0],
         ]
         for r in reports
