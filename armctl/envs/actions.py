@@ -10,7 +10,6 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.limits import Limits
-from armctl.core.validation import choice
 from armctl.robot.arm import Arm
 
 _MIN_JOINTS_FOR_POSES = 6
@@ -69,8 +68,3 @@ def smoothing_ticks(arm: Arm) -> int:
     if seconds > _MAX_SMOOTHING_S:
         raise InputError(f"j_max: smooth actions would be averaged over {seconds:.3g} s; the most is {_MAX_SMOOTHING_S:g} s")
     return max(1, math.ceil(seconds / arm.dt))
-
-
-def read_mode(action: object) -> ActionMode:
-    """The mode of a name; InputError if there is none."""
-    return ACTION_MODES[choice("action", action, ACTION_MODES)]

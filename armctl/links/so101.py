@@ -253,7 +253,7 @@ def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
                 f"calibration: {shown_path(path)} has no row {name!r} with id, homing_offset, range_min and range_max"
             ) from None
         if not 0 <= servo.id < _EVERYBODY:
-            raise InputError(f"calibration: {name} has the id {servo.id!s:.20}; those of servos are from 0 to {_EVERYBODY - 1}")
+            raise InputError(f"calibration: {name} has the id {servo.id!s:.20}; ids of servos are from 0 to {_EVERYBODY - 1}")
         travel = servo.travel * 2.0 * np.pi / _COUNTS
         if servo.travel < _FULL_TURN_COUNTS and abs(travel - model_range) > _TRAVEL_TOLERANCE * model_range:
             raise InputError(

@@ -169,11 +169,6 @@ def branches(model: mujoco.MjModel, body: int) -> list[int]:
     return [b for b in range(1, model.nbody) if model.body_parentid[b] in rigid and model.body_jntnum[b] and b not in rigid]
 
 
-def keyframe_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """The names of a model's keyframes; their numbers where they have none."""
-    return tuple(model.key(i).name or f"keyframe {i}" for i in range(model.nkey))
-
-
 def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     """(k, 2, 3) where two geoms press on each other, m, and the force on the second, N, in world axes: the first 64."""
     count = min(data.ncon, _MAX_CONTACTS)

@@ -131,7 +131,7 @@ def test_without_a_calibration_that_fits_nothing_is_opened(bus: Bus, arm: armctl
     (tmp_path / "large.json").write_text("{" + " " * 10**6 + "}")
     with pytest.raises(armctl.InputError, match="it is larger than 1 MB"):
         armctl.links.SO101(arm, bus.port, tmp_path / "large.json")
-    with pytest.raises(armctl.InputError, match="shoulder_pan has the id 300; those of servos are from 0 to 253"):
+    with pytest.raises(armctl.InputError, match="shoulder_pan has the id 300; ids of servos are from 0 to 253"):
         armctl.links.SO101(arm, bus.port, write_calibration(tmp_path / "id.json", id=300))
     with pytest.raises(armctl.InputError, match="no row 'shoulder_pan'"):
         armctl.links.SO101(arm, bus.port, write_calibration(tmp_path / "infinite.json", range_max=np.inf))
