@@ -96,7 +96,8 @@ class TrueArm:
         motors = np.arange(arm.n)
         motors[np.flatnonzero(plant.elasticity)] = np.arange(arm.n, size)
         # A step of MuJoCo is implicit in the velocities: (M + dt D) (v' - v) = dt (torque - D v - K q), and q' = q + dt v'.
-        change = TICK_S * np.linalg.inv(inertia + TICK_S * damping)
+        # On its left side D has the sparsity of M, so that the damping between a rotor and its link is partly explicit.
+        change = TICK_S * np.linalg.inv(inertia + TICK_S * damping * (inertia != 0.0))
         moved = np.hstack([-change @ stiffness, np.eye(size) - change @ damping])
         self.A = np.vstack([np.eye(size, 2 * size) + TICK_S * moved, moved])
         self.B = np.vstack([TICK_S * change[:, motors], change[:, motors]])

@@ -23,14 +23,7 @@ class Signals(NamedTuple):
 
 
 class Disturbances:
-    """Noise, delay and pushes of one run; every run of the same plant has the same ones.
-
-    Attributes:
-        push: (6,) N and N m, the wrench of the pushes in the last tick; both loops write it.
-        last_position: (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
-        delay: What delays the commands; both loops use it.
-        deflection: (2, n) of the springs, as measured at this tick.
-    """
+    """Noise, delay and pushes of one run; every run of the same plant has the same ones."""
 
     def __init__(
         self, plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, train: Drivetrain, pushed_arm: _core.ArmModel, dt: float
@@ -53,11 +46,12 @@ class Disturbances:
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
         self._timestep = float(model.opt.timestep)
-        self.push = np.zeros(6)
+        self.push = np.zeros(6)  # N and N m, the wrench of the pushes in the last tick; both loops write it
+        # (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
         # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
         self.last_position = np.full(n, np.nan) if plant.differences_positions else None
-        self.deflection = np.zeros((2, n))
-        self.delay = _core.Delay(n, plant.delay)
+        self.deflection = np.zeros((2, n))  # of the springs, as measured at this tick
+        self.delay = _core.Delay(n, plant.delay)  # of the commands; both loops use it
         self.delay.restart(plant.delay)
         self._rng = np.random.default_rng(plant.seed)
         self._last_noise = np.zeros(n)

@@ -39,7 +39,8 @@ class Viewer:
             NotInstalledError: viser or mjviser is missing.
             InputError: The port is not a port.
         """
-        in_notebook = _in_notebook()
+        ipython = sys.modules.get("IPython")
+        in_notebook = ipython is not None and hasattr(ipython.get_ipython(), "kernel")
         self.scene = WebScene(port, title=f"{arm.name} - armctl", in_notebook=in_notebook)
         self.clock = RealTimeClock()
         self.url = self.scene.url
@@ -88,9 +89,3 @@ class Viewer:
         if time.monotonic() - self._text_written_at > _TEXT_INTERVAL_S:
             self._text_written_at = time.monotonic()
             self.scene.text.content = f"**{self._arm_name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"
-
-
-def _in_notebook() -> bool:
-    ipython = sys.modules.get("IPython")
-    shell = None if ipython is None else ipython.get_ipython()
-    return hasattr(shell, "kernel")

@@ -47,6 +47,10 @@ def random_motion(arm, seed):
     return armctl.move_j(arm, *arm.limits.random(arm.home, 2, np.random.default_rng(seed)))
 
 
+def test_before_the_first_tick_nothing_is_counted(arm):
+    assert armctl.MPC(arm).counts == (0, 0, 0, 0)
+
+
 def test_without_limits_it_is_computed_torque_with_the_same_feedback(arm):
     strong = arm.with_limits(replace(arm.limits, tau_max=np.full(arm.n, 1e6), v_max=np.full(arm.n, 1e3)))
     state = armctl.State(arm.home + 0.01, np.full(arm.n, 0.1), 0.0, 0.001)
