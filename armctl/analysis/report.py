@@ -235,8 +235,8 @@ def report_table(reports: Sequence[Report]) -> Table:
     if not all(math.isnan(r.peak_sensitivity) for r in reports):
         columns["delay margin, ms"] = lambda r: _margin_text(1e3 * r.delay_margin_s)
         columns["Ms"] = lambda r: _margin_text(r.peak_sensitivity)
-    if any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports):
-        columns["least damping"] = lambda r: _margin_text(r.damping_ratio)
+        if any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports):
+            columns["least damping"] = lambda r: _margin_text(r.damping_ratio)
     columns["verdict"] = lambda r: r.verdict.split(":")[0]
     return Table(list(columns), [[cell(r) for cell in columns.values()] for r in reports])
 
