@@ -103,9 +103,11 @@ class ServoSimulation:
     def _controls(self, log: Log, delay: float) -> Array:
         """(steps, nctrl), delayed commands: means over steps, which change continuously with the delay, as a fit needs."""
         controls = np.tile(self.arm.home_ctrl, ((len(log) - 1) * self._steps, 1))
+        step = log.dt / self._steps
+        delay = delay + 0.5 * step  # positions of semi-implicit steps are half a step early
         before = delay + log.dt
         times = np.concatenate([[-before], np.arange(len(log)) * log.dt])
-        edges = np.arange(len(controls) + 1) * (log.dt / self._steps) - delay
+        edges = np.arange(len(controls) + 1) * step - delay
         for joint, address in enumerate(self.arm.ctrl_adr):
             command = log.q_ref[:, joint]
             integral = np.concatenate([[-before * command[0], 0.0], np.cumsum(command[:-1]) * log.dt])

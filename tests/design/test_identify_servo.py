@@ -88,7 +88,7 @@ def test_parameters_are_those_of_the_real_servos(known):
     assert found.unseen == ()
     for name, true in TRUE.items():
         assert getattr(found.parameters, name) == pytest.approx(true, rel=0.1), name
-    assert found.parameters.delay == pytest.approx(DELAY, rel=0.1)
+    assert found.parameters.delay == pytest.approx(DELAY, rel=0.02)
     assert 0 < found.errors.delay < 1e-3
 
 
@@ -118,7 +118,7 @@ def test_files_have_the_identified_servos(known, file, tmp_path):
         data.ctrl[:] = row
         mujoco.mj_step(model, data, round(DT / model.opt.timestep))
     simulated = found.positions(armctl.Log.from_positions(DT, np.zeros_like(command), command, joint_names=arm.joint_names))
-    assert np.abs(np.array(q) + known.offset - simulated)[25:].max() < 5e-3
+    assert np.abs(np.array(q) + known.offset - simulated)[25:].max() < 6e-3  # its delay is a whole number of steps
     urdf = armctl.load(found.to_urdf(tmp_path / "new.urdf"), tip="tip")
     assert urdf.model.dof_frictionloss[urdf.dof_adr] == pytest.approx(known.coulomb_friction)
     assert found.applied_to(arm).mass_matrix(arm.home)[1, 1] > arm.mass_matrix(arm.home)[1, 1]
