@@ -50,7 +50,7 @@ public:
 
 private:
     static constexpr size_t counters = 4;
-    static constexpr double joint_weight = 0.05;  // of c in the measure of the tip, as in ComputedTorqueQP; less bends the arm far
+    static constexpr double joint_weight = 0.1;  // of c in the measure of the tip, as in ComputedTorqueQP; less bends the arm far
     // Limits of velocity and position that are farther away than this share of their range are not part of the program.
     static constexpr double near_limit = 0.15;
     static constexpr double tolerance = 1e-9;           // relative, of a limit
