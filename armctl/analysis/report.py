@@ -19,6 +19,7 @@ from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
+from armctl.design.loop import MIN_DAMPING_RATIO
 
 _MAX_CONTACTS_SHOWN = 3
 _MIN_JOINT_ERROR_SHOWN = 1e-15
@@ -234,6 +235,7 @@ def report_table(reports: Sequence[Report]) -> Table:
     if not all(math.isnan(r.peak_sensitivity) for r in reports):
         columns["delay margin, ms"] = lambda r: _margin_text(1e3 * r.delay_margin_s)
         columns["Ms"] = lambda r: _margin_text(r.peak_sensitivity)
+    if any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports):
         columns["least damping"] = lambda r: _margin_text(r.damping_ratio)
     columns["verdict"] = lambda r: r.verdict.split(":")[0]
     return Table(list(columns), [[cell(r) for cell in columns.values()] for r in reports])

@@ -70,11 +70,12 @@ class Margins(Verdict):
     def __str__(self) -> str:
         if not self.ok:
             return f"{self.controller} on {self.robot}: {self.reason}"
+        damping = f", least damping ratio {self.damping.value:.2g}" if isfinite(self.damping.value) else ""
         chatter = f", torque noise {self.chatter.value:.2g} N m" if self.chatter.value else ""
         return (
             f"{self.controller} on {self.robot}, worst of {self.loops} loops: delay margin {1e3 * self.delay.value:.3g} ms, "
             f"gain margin {self.gain.value:.3g}, phase margin {degrees(self.phase.value):.3g} deg, "
-            f"Ms {self.peak_sensitivity.value:.3g}, least damping ratio {self.damping.value:.2g}{chatter}"
+            f"Ms {self.peak_sensitivity.value:.3g}{damping}{chatter}"
         )
 
     def to_dict(self) -> dict[str, object]:

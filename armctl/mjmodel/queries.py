@@ -53,11 +53,6 @@ def actuator_name(model: mujoco.MjModel, actuator: int) -> str:
     return name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)
 
 
-def model_name(model: mujoco.MjModel) -> str:
-    """The name of a model, as its MJCF or URDF gives it."""
-    return model.names[: model.names.index(b"\0")].decode(errors="replace")
-
-
 def is_on_joint(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator acts on one joint, `actuator_trnid[actuator, 0]`, and not on a tendon, a site or a crank."""
     return model.actuator_trntype[actuator] in _ON_JOINT

@@ -54,7 +54,7 @@ class OnlineMotion:
         self._start = JointState(start.q.tolist(), start.v.tolist(), start.a.tolist())
         self._goal: Array | None = None
         self._brake()
-        if not self._stays_inside(self._profile):
+        if not self._profile.stays_inside(self._q_min_loose, self._q_max_loose):
             raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
 
     @property
@@ -133,12 +133,9 @@ class OnlineMotion:
         target = JointState(goal.tolist(), self._zero, self._zero)
         for together in (True, False):
             profile = self._solver.solve(start, target, together)
-            if profile is not None and self._stays_inside(profile):
+            if profile is not None and profile.stays_inside(self._q_min_loose, self._q_max_loose):
                 return profile
         return None
-
-    def _stays_inside(self, profile: Profile) -> bool:
-        return profile.stays_inside(self._q_min_loose, self._q_max_loose)
 
     def _brake(self) -> None:
         """Replaces the profile by the fastest stop from `_start`."""

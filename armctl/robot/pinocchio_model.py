@@ -102,7 +102,10 @@ def build_pinocchio_model(
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}"
         pin_model.addJoint(above + 1, kind, placement, name)
         placements.append(placement.homogeneous)
-    pin_model = _with_followers(pin_model, joint_map)
+    for k, (ratio, offset) in enumerate(zip(joint_map.ratio, joint_map.offset, strict=True)):
+        if k not in joint_map.leaders:  # a joint that follows another is Pinocchio's mimic joint
+            leader = int(joint_map.leaders[np.flatnonzero(ratio)[0]])
+            pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
     support = pin_model.copy() if has_gravity and np.any(model.body_gravcomp) else None
     pin_model.armature = joint_map.ratio.T**2 @ model.dof_armature[joint_map.dof_adr]
 
@@ -140,15 +143,6 @@ def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
         before = [k for k, other in enumerate(joints[:i]) if model.jnt_bodyid[other] == body]
         behind.append(before[-1] if before else carried[int(model.body_parentid[body])])
     return behind
-
-
-def _with_followers(pin_model: pin.Model, joint_map: JointMap) -> pin.Model:
-    """The model with every joint that follows another as Pinocchio's mimic joint."""
-    for k, (ratio, offset) in enumerate(zip(joint_map.ratio, joint_map.offset, strict=True)):
-        if k not in joint_map.leaders:
-            leader = int(joint_map.leaders[np.flatnonzero(ratio)[0]])
-            pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
-    return pin_model
 
 
 def _joint_frame(anchor: Array, axis: Array) -> pin.SE3:

@@ -30,19 +30,32 @@ _MAX_FILE_BYTES = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class StudyPlan:
-    """What a study consists of, as plain data. `Study` documents it and makes the runs; the comments say what is kept."""
+    """What a study consists of, as plain data. `Study` documents it and makes the runs.
+
+    Attributes:
+        name: Names the study and its files.
+        robot: The arguments of `load`.
+        controllers: The controllers by label, each a dict of "controller" and its arguments.
+        motion: The motion: its "kind", and what that kind needs.
+        factors: The factors by name, each a tuple of values, a `Range`, a `Normal` or a `Choice`.
+        repeats: The number of runs at each point.
+        samples: The number of samples of the distributions among the factors.
+        sampling: "sobol", "lhs" or "saltelli".
+        dwell: s to hold the end of the motion.
+        tolerance: m, the largest distance at which the tip is at its goal.
+    """
 
     name: str
-    robot: Any  # the arguments of `load`
-    controllers: Any = ("pd-gravity", "computed-torque")  # by label, each a dict of "controller" and its arguments
-    motion: Any = "out-and-back"  # its "kind", and what that kind needs
-    factors: Mapping[str, Any] = field(default_factory=dict)  # each a tuple of values, a `Range`, a `Normal` or a `Choice`
+    robot: Any
+    controllers: Any = ("pd-gravity", "computed-torque")
+    motion: Any = "out-and-back"
+    factors: Mapping[str, Any] = field(default_factory=dict)
     repeats: int = 1
     samples: int = 64
     sampling: str = "sobol"
     seed: int = 0
-    dwell: float = 0.25  # s
-    tolerance: float = TOLERANCE  # m
+    dwell: float = 0.25
+    tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
         instance("name", self.name, str, "'payload' is one")

@@ -11,6 +11,7 @@ import numpy as np
 
 from armctl.robot.arm import Arm
 from armctl.sim.realtime.clock import RealTimeClock
+from armctl.viewer.plan_preview import RobotDrawing
 from armctl.viewer.web_scene import PORT, WebScene
 
 _TEXT_INTERVAL_S = 0.2
@@ -44,7 +45,7 @@ class Viewer:
         self.scene = WebScene(port, title=f"{arm.name} - armctl", in_notebook=in_notebook)
         self.clock = RealTimeClock()
         self.url = self.scene.url
-        self._arm_name = arm.name
+        self._arm = arm
         self._text_written_at = -np.inf
         browser_opens = not in_notebook and self.scene.open_browser()
         self.scene.set(arm)
@@ -72,6 +73,10 @@ class Viewer:
     def close(self) -> None:
         self.scene.close()
 
+    def drawing_of_robot(self, name: str) -> RobotDrawing:
+        """What draws a robot of this name on the page, in place of a simulation."""
+        return RobotDrawing(self.scene, self._arm, name)
+
     def after_reset(self, data: mujoco.MjData) -> None:
         self._show(data)
 
@@ -88,4 +93,4 @@ class Viewer:
         self.scene.show(data.qpos, data.mocap_pos, data.mocap_quat)
         if time.monotonic() - self._text_written_at > _TEXT_INTERVAL_S:
             self._text_written_at = time.monotonic()
-            self.scene.text.content = f"**{self._arm_name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"
+            self.scene.text.content = f"**{self._arm.name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"

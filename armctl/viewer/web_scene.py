@@ -169,6 +169,10 @@ class WebScene:
         """Waits up to `timeout` s for the first client. Returns whether one has connected."""
         return self._client_connected.wait(timeout)
 
+    @property
+    def is_closed(self) -> bool:
+        return self._closing.is_set()
+
     def close(self) -> None:
         if self._closing.is_set():
             return

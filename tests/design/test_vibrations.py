@@ -70,8 +70,9 @@ def test_a_predicted_vibration_is_that_of_the_simulation(arm, law, resonance, da
         assert "the closed loop vibrates" in found.reason
 
 
-def test_a_notch_at_the_resonance_of_the_links_decides_whether_a_law_vibrates(arm):
+def test_a_notch_at_the_resonance_of_the_links_decides_whether_a_law_vibrates(tmp_path):
     """With encoders at the links; the notch is as wide as in `propose_filter`."""
+    arm = serial_arm(tmp_path, ARMS["light"])
     plant = replace(elastic(arm, 8.0, 0.02), encoder_side="link")
     found = armctl.propose_filter(arm, "pd-gravity", arm.home, plant, delay_margin=2e-3, peak_sensitivity=2.5)
     assert found.ok, found.reason
@@ -110,7 +111,7 @@ def test_a_damped_mode_is_that_of_the_differential_equation(tmp_path):
     assert least.damping_ratio == pytest.approx(-worst.real / abs(worst), rel=0.1)
 
 
-@pytest.mark.parametrize("law", ["pd-gravity", "computed-torque", "computed-torque-observer", "lqr"])
+@pytest.mark.parametrize("law", ["pd-gravity", "computed-torque-observer", "lqr"])
 @pytest.mark.parametrize(
     "sensing",
     [
@@ -144,3 +145,16 @@ def test_torque_noise_follows_the_step_of_the_encoder_and_is_zero_without(arm):
     assert coarse == pytest.approx(16 * fine)
     assert not exact.any()
     assert np.isinf(armctl.linearize(arm, armctl.PD(arm, stiffness=0.0, damping=1e7), arm.home, IDEAL).chatter(1e-5)).all()
+
+
+def test_a_comparison_and_a_tuning_name_the_least_damping_of_a_law_that_vibrates(arm):
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
+    vibrating = armctl.compare(arm, ["pd-gravity"], motion, [elastic(arm, 6.0)], poses=1)
+    assert ("least damping" in armctl.table(vibrating)) == (vibrating[0].damping_ratio < 0.1)
+    assert "least damping" not in armctl.table(armctl.compare(arm, ["pd-gravity"], motion, [IDEAL], poses=1))
+    rigid, soft = (
+        armctl.tune(arm, "computed-torque", 3e-3, 1.9, poses=[arm.home], plants=[p]) for p in (IDEAL, elastic(arm, 6.0))
+    )
+    assert "vibrates" not in str(rigid.before)
+    assert ("vibrates" in str(soft.before)) == (soft.before.damping_ratio < 0.1)
+    assert soft.to_dict()["before"]["damping_ratio"] == soft.before.damping_ratio

@@ -69,7 +69,7 @@ class RealTimeSession:
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
         self._paused = False
-        self._standing_by = False
+        self.is_standing_by = False  # whether the session stands for another one
         self._elapsed = 0.0
         self._failure = ""
         self._restart()
@@ -183,14 +183,9 @@ class RealTimeSession:
         """Stops the session while another one moves another arm of the same model, or lets it go on."""
 
         def change() -> None:
-            self._standing_by = bool(standing_by)
+            self.is_standing_by = bool(standing_by)
 
         self._command("stand by", change)
-
-    @property
-    def is_standing_by(self) -> bool:
-        """Whether the session stands for another one."""
-        return self._standing_by
 
     def continue_from(self, qpos: Array) -> None:
         """Goes on where another session left the model, (nq,) positions: at rest there, with the target at the tip."""
@@ -241,7 +236,7 @@ class RealTimeSession:
             self._commands = {}
         for command in commands.values():
             command()
-        if self._paused or self._standing_by or self._failure or self._stepper.failure:
+        if self._paused or self.is_standing_by or self._failure or self._stepper.failure:
             return False
         self._follower.jog(self.hand(), self._interval * self._speed_override)
         reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)
