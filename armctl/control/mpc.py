@@ -45,10 +45,9 @@ class MPC(ComputedTorqueQP):
 
     While the motion of computed torque respects all limits within the horizon, the law is computed torque. Otherwise a
     quadratic program adds accelerations c, linear in each of ten blocks of the horizon, that minimize what the limits add to
-    the quadratic cost of the tip's errors (see `armctl/cpp/laws/mpc.hpp`). It counts errors after the horizon too, as long as
-    the reference moves at the limit of velocity. The model is that of inverse dynamics, linearized along the motion of computed
-    torque at every tick. A simulation passes the reference of the next ticks on, so the arm accelerates before a torque limit
-    becomes active; without it, the reference is extrapolated at constant velocity.
+    the quadratic cost of the tip's errors (see `armctl/cpp/laws/mpc.hpp`). The model is that of inverse dynamics, linearized
+    along the motion of computed torque at every tick. A simulation passes the reference of the next ticks on, so the arm
+    accelerates before a torque limit becomes active; without it, the reference is extrapolated at constant velocity.
 
     The program of `ComputedTorqueQP` then keeps the limits of the tick itself, and brakes before the end of a joint's range.
     `counts` reports limits that contradict each other, and ticks without a plan. A reference outside of the range of a joint is

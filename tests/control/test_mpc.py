@@ -73,15 +73,15 @@ def test_with_weak_motors_the_error_of_the_tip_is_a_third(arm, seed):
     assert weak.limits.contains(log.q, tolerance=1e-6)
 
 
-def test_where_the_reference_is_as_fast_as_it_may_be_no_error_remains(tmp_path):
-    """Damped joints: the torque of a speed is foreseen, and an error that the limit of velocity would keep is avoided."""
+def test_the_torque_of_damped_joints_is_foreseen(tmp_path):
+    """An error at the start of a motion at the limit of velocity remains until its end: torques have to be foreseen."""
     planar = serial_arm(tmp_path, BENT["planar"])
     motion = armctl.move_j(planar, planar.home, planar.home + np.array([1.5, 0.0, 0.0]))
     weak = weakened(planar, motion, 0.6)
     log = run(weak, "mpc", motion)
     middle = np.searchsorted(log.t, 0.5 * motion.duration)
     assert abs(log.v_ref[middle, 0]) > 0.99 * weak.limits.v_max[0]
-    assert np.abs(log.q - log.q_ref)[middle, 0] < 0.4 * np.abs(log.q - log.q_ref)[:, 0].max()
+    assert np.abs(log.q - log.q_ref)[middle, 0] < 0.5 * np.abs(log.q - log.q_ref)[:, 0].max()
 
 
 def test_the_arm_accelerates_before_the_torque_is_missing(arm):

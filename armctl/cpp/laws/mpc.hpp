@@ -17,8 +17,7 @@ namespace armctl {
 //
 // the torques at the first tick of each block, the others at its last one, for M and h of the motion that c = 0 gives; and their
 // change from block to block, which is at most the torque rate times the time between. Torques change with c by M and by the linear
-// damping of the joints. What remains of the errors at the end costs as long as the reference is as fast as it may be: no
-// feedback can make up for it then. Where limits contradict each other, those
+// damping of the joints. Where limits contradict each other, those
 // of velocity and position that c = 0 exceeds become costs. Without a solution the last plan goes on. The program of
 // ComputedTorqueQP then keeps the limits of the tick itself, and brakes before the end of a joint's range.
 class MPC final : public Cloneable<MPC, ComputedTorqueQP> {
@@ -50,12 +49,10 @@ public:
 
 private:
     static constexpr size_t counters = 4;
-    static constexpr double joint_weight = 0.05;  // of c in the measure of the tip, as in ComputedTorqueQP; less bends the arm far
+    static constexpr double joint_weight = 0.1;  // of c in the measure of the tip, as in ComputedTorqueQP; less bends the arm far
     // Limits of velocity and position that are farther away than this share of their range are not part of the program.
     static constexpr double near_limit = 0.15;
     static constexpr double tolerance = 1e-9;           // relative, of a limit
-    static constexpr double fast_share = 0.99;          // of the limit of velocity, above which a reference leaves errors as they are
-    static constexpr size_t stride = 10;                // ticks between the looks at the reference after the horizon
     static constexpr double position_tolerance = 1e-6;  // rad
     // Of limits that contradict others, relative to the cost of a c that would meet them: what remains of the violation is small.
     static constexpr double violation_weight = 1e4;
@@ -160,7 +157,7 @@ private:
             std::ranges::fill(c(), 0.0);
             return;
         }
-        if (solver_.solve(program(setpoint), c())) {
+        if (solver_.solve(program(), c())) {
             age() = 0.0;
         } else if (solver_.solve(relaxed(), c())) {
             memory()[3] += 1.0;
@@ -258,7 +255,7 @@ private:
         return lower > tolerance || upper < -tolerance;
     }
 
-    QuadraticProgram program(const Setpoint& setpoint) {
+    QuadraticProgram program() {
         const size_t n = joints();
         for (size_t i = 0; i < n; ++i) { H_(i, i) += joint_weight * joint_weight * length_ * length_; }
         for (size_t row = 0; row < size(); ++row) {
@@ -266,35 +263,8 @@ private:
                 cost_(row, column) = squares_(row / n, column / n) * H_(row % n, column % n);
             }
         }
-        add_lasting_errors(setpoint);
         for (size_t i = 0; i < n; ++i) { H_(i, i) -= joint_weight * joint_weight * length_ * length_; }
-        return {.H = cost_, .f = linear_, .M = rows_, .lower = lower_, .upper = upper_};
-    }
-
-    // Adds the cost of the c that the limit of velocity needs after the horizon, which is minus the feedback of the errors.
-    void add_lasting_errors(const Setpoint& setpoint) {
-        const size_t n = joints();
-        const Node& end = nodes_.back();
-        std::ranges::fill(linear_, 0.0);
-        for (size_t i = 0; i < n; ++i) {
-            size_t row = end.tick + 1;
-            while (row < setpoint.v_ahead.rows && std::abs(setpoint.v_ahead(row, i)) > fast_share * v_max_[i]) { row += stride; }
-            lasting_[i] = static_cast<double>(row - end.tick - 1);
-        }
-        for (size_t i = 0; i < n; ++i) {
-            for (size_t j = 0; j < n; ++j) {
-                const double weight = stiffness_ * stiffness_ * std::min(lasting_[i], lasting_[j]) * H_(i, j);
-                if (weight == 0.0) { continue; }
-                const double error = end.of_error.error * error_[j] + end.of_rate.error * rate_[j];
-                for (size_t block = 0; block < blocks(); ++block) {
-                    const double change = weight * end.of_blocks[block].error;
-                    linear_[block * n + i] += change * error;
-                    for (size_t other = 0; other < blocks(); ++other) {
-                        cost_(block * n + i, other * n + j) += change * end.of_blocks[other].error;
-                    }
-                }
-            }
-        }
+        return {.H = cost_, .f = no_cost_, .M = rows_, .lower = lower_, .upper = upper_};
     }
 
     // The program with costs in the place of the bounds of velocity and position that exclude zero. The cost of a violation is the
@@ -309,7 +279,7 @@ private:
             largest = std::max(largest, dot(rows_.row(row), rows_.row(row)));
         }
         relaxed_ = cost_;
-        copy(linear_, f_);
+        std::ranges::fill(f_, 0.0);
         for (size_t row = 0; row < 3 * size(); ++row) {
             const double nearest = std::min(std::max(0.0, lower_[size() + row]), upper_[size() + row]);
             const size_t kind = row % (3 * n) / n;
@@ -352,8 +322,8 @@ private:
     DenseMatrix inertia_ = square(), cost_{size(), size()}, relaxed_ = cost_, rows_{3 * size() + rates_, size()};
     Numbers q_target_ = zeros(), v_target_ = zeros(), a_target_ = zeros();
     Numbers error_ = zeros(), rate_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros(), v_ref_ = zeros(), a_ref_ = zeros(), tau_ = zeros(),
-            tau_before_ = zeros(), added_ = zeros(), lasting_ = zeros();
-    Numbers linear_ = Numbers(size()), f_ = linear_, lower_ = Numbers(4 * size() + rates_, -unbounded),
+            tau_before_ = zeros(), added_ = zeros();
+    Numbers no_cost_ = Numbers(size()), f_ = no_cost_, lower_ = Numbers(4 * size() + rates_, -unbounded),
             upper_ = Numbers(4 * size() + rates_, unbounded);
 };
 
