@@ -19,7 +19,7 @@ import armctl.envs
 
 ROBOT = "panda"
 COUNT = 256
-OTHER_ACTIONS = ("torque", "joint_target", "cartesian_pose")
+OTHER_ACTIONS = ("joint_delta_smooth", "torque", "joint_target", "cartesian_pose")
 SEED = 5
 CHECKED = 7
 PAYLOAD = {"payload": armctl.Range(0.0, 0.5)}

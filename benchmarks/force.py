@@ -33,6 +33,7 @@ ARMS = ["robot_arm_3dof", "desk_arm", "panda", "panda/panda_nohand", "ur5e", "ii
 FILES = {"desk_arm": Path(__file__).parents[1] / "examples" / "models" / "desk_arm.urdf"}
 STARTS = {"desk_arm": armctl.Pose([0.35, 0.0, 0.2], rpy=[0.0, np.pi, 0.0])}  # it is stretched out at home
 WITH_PROBE = ("ur5e", "desk_arm")
+WITH_FINGERS = ("panda", "xarm7")
 # The shape of the UR5e's second wrist link reaches to the flange. Without a probe it presses on the wall too, where no flange
 # sensor measures.
 SHIELDED = "ur5e/ur5e"
@@ -41,7 +42,7 @@ PROBE = """<mujoco model="probe"><worldbody><body name="probe"><geom type="spher
 # By MuJoCo's time constant solref[0], s: a tenth, once and ten times the default stiffness. Springs: by their stiffness, N/m.
 WALLS = {"63 ms": 0.0632, "20 ms": 0.02, "6.3 ms": 0.00632}
 DEFAULT = "20 ms"
-SPRINGS = {"foam": 1e3}
+SPRINGS = {"foam": 1e3}  # of one contact: all arms touch them with a probe, and those with fingers do not
 SPRING_IMPEDANCE = 0.3  # so low that the virtual mass of MuJoCo's contact is less than that of the hand
 PLANTS = {
     "ideal": armctl.Plant(timestep=TICK_S),
@@ -102,7 +103,7 @@ class Wall(NamedTuple):
 
 def at_wall(name: str, wall: str) -> Wall:
     """An arm whose hand is GAP_M from a plate, on that side of its tip where the hand leads the other links by the most."""
-    tool = mujoco.MjSpec.from_string(PROBE) if name in WITH_PROBE else None
+    tool = mujoco.MjSpec.from_string(PROBE) if name in WITH_PROBE or wall in SPRINGS else None
     scene = armctl.Scene().add_box("wall", [0.1, 0.1, 0.1], at=[9, 9, 9])
     arm = armctl.load(FILES.get(name, name), tool=tool, scene=scene)
     if name in STARTS:
@@ -214,7 +215,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "force.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
-    runs = [press(name, wall, "hybrid-force", plant) for name in args.arms for wall in (*SPRINGS, *WALLS) for plant in PLANTS]
+    runs = [
+        press(name, wall, "hybrid-force", plant)
+        for name in args.arms
+        for wall in ((*SPRINGS, *WALLS) if name not in WITH_FINGERS else WALLS)
+        for plant in PLANTS
+    ]
     runs += [press(name, DEFAULT, "impedance", "ideal") for name in args.arms]
     if "ur5e" in args.arms:
         runs.append(press(SHIELDED, DEFAULT, "hybrid-force", "ideal"))

@@ -5,7 +5,7 @@ import numpy as np
 
 import armctl
 
-INTERVAL_S = 0.02  # of a constant acceleration; with shorter ones the optimum is a little lower
+JOINT_INTERVAL_S = 0.003  # of a constant acceleration, per joint of the arm; with shorter ones the optimum is a little lower
 _STEP = 1e-5  # rad, rad/s and rad/s^2, of central differences
 _SOFT = 8  # daqp's flag of a constraint that may be exceeded at a cost
 _SPEED_TOLERANCE = 1e-3  # of a limit of velocity at which a motion passes exactly
@@ -17,7 +17,7 @@ def offline_error(arm: armctl.Arm, motion: armctl.JointTrajectory, iterations: i
     Sequential quadratic programs with a trust region minimize it over the whole motion at once. The torques are within their
     limits at both ends of each interval. The optimum is a local one, and inf if no motion within the limits was found.
     """
-    count = max(2, round(motion.duration / INTERVAL_S))
+    count = max(2, round(motion.duration / (JOINT_INTERVAL_S * arm.n)))
     h = motion.duration / count
     n = arm.n
     ref = motion.sample(np.linspace(0.0, motion.duration, count + 1))

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from markdown_table import titled_table
-from offline_tracking import INTERVAL_S, offline_error
+from offline_tracking import JOINT_INTERVAL_S, offline_error
 
 import armctl
 
@@ -39,6 +39,7 @@ class Clipped:
 
 
 LAWS = {
+    "clipped": lambda arm: Clipped(arm, armctl.ComputedTorque(arm)),
     "qp": armctl.ComputedTorqueQP,
     "lqr, clipped": lambda arm: Clipped(arm, armctl.LQR(arm)),
     "mpc": armctl.MPC,
@@ -66,13 +67,16 @@ def study(arms: dict[str, armctl.Arm], motions: int, offline: int) -> list[str]:
     offline_rows = []
     for name, arm in arms.items():
         cases = random_cases(arm, motions)
-        clipped = np.array([tracked(lambda weak: Clipped(weak, armctl.ComputedTorque(weak)), *case)[0] for case in cases])
+        clipped = np.empty(0)
         for law, make in LAWS.items():
-            error, outside = np.array([tracked(make, *case) for case in cases]).T
+            error, outside, speed = np.array([tracked(make, *case) for case in cases]).T
+            if law == "clipped":
+                clipped = error
             for group, chosen in (("all", clipped >= 0.0), ("clipped >= 1 mm", clipped >= 1e-3)):
                 share = np.mean(error[chosen] <= clipped[chosen] / 3)
                 outside_mrad = f"{1e3 * max(outside[chosen].max(), 0.0):.1g}"
                 numbers = [*compared(error, clipped, chosen), f"{100 * share:.0f}", outside_mrad]
+                numbers.append(f"{100 * speed[chosen].max():.0f}")
                 rows.append([name, law, group, str(chosen.sum()), *numbers])
             if law == "mpc":
                 best = np.array([offline_error(*case) for case in cases[:offline]])
@@ -85,18 +89,19 @@ def study(arms: dict[str, armctl.Arm], motions: int, offline: int) -> list[str]:
                         f"{np.median((each / clipped[:offline])[found]):.2f}",
                     ]
                 offline_rows.append(of)
-    columns = ["arm", "law", "motions", "number", "RMS", "median", "90 %", "largest", "at most 1/3, %", "outside, mrad"]
+    columns = ["arm", "law", "motions", "number", "RMS", "median", "90 %", "largest"]
+    columns += ["at most 1/3, %", "outside, mrad", "speed, %"]
     offline_columns = ["arm", "optimized", "clipped, mm", "mpc, mm", "median", "offline, mm", "median"]
     return [
         titled_table(
-            f"Error of the tip relative to clipped computed torque, {motions} motions of each arm; the last column is the "
-            "farthest outside of a joint limit",
+            f"Error of the tip relative to clipped computed torque, {motions} motions of each arm: of all (RMS) and of "
+            "each; the farthest outside of a joint limit, and the highest speed of a joint relative to its limit",
             columns,
             rows,
         ),
         titled_table(
             "RMS error of the tip, and the median relative to clipped computed torque, beside the optimum that knows the whole "
-            f"motion in advance, for accelerations that are constant over {1e3 * INTERVAL_S:g} ms",
+            f"motion in advance, for accelerations that are constant over {1e3 * JOINT_INTERVAL_S:g} ms per joint",
             offline_columns,
             offline_rows,
         ),
@@ -131,12 +136,13 @@ def random_cases(arm: armctl.Arm, motions: int) -> list[tuple[armctl.Arm, armctl
     return cases
 
 
-def tracked(make, weak: armctl.Arm, motion: armctl.JointTrajectory) -> tuple[float, float]:
-    """The RMS error of the tip, m, and the largest distance, rad, to the limits of the joints, positive outside."""
+def tracked(make, weak: armctl.Arm, motion: armctl.JointTrajectory) -> tuple[float, float, float]:
+    """The RMS error of the tip, m; the largest distance, rad, outside of a joint limit; the largest share of v_max."""
     log = armctl.simulate(weak, make(weak), motion, armctl.Plant(timestep=0.001), dwell=0.5)
     outside = np.maximum(log.q - weak.limits.q_max, weak.limits.q_min - log.q).max()
     moving = log.t <= motion.duration
-    return float(np.sqrt(np.mean(np.sum((log.tip - log.tip_ref)[moving] ** 2, axis=1)))), float(outside)
+    error = float(np.sqrt(np.mean(np.sum((log.tip - log.tip_ref)[moving] ** 2, axis=1))))
+    return error, float(outside), float(np.max(np.abs(log.v) / weak.limits.v_max))
 
 
 def cost(arms: dict[str, armctl.Arm]) -> str:

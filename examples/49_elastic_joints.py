@@ -20,7 +20,7 @@ for law in [*rigid, armctl.ElasticFeedforward(arm, **springs), armctl.ElasticFee
     )
 
 law = armctl.PDGravity(arm)
-modes = armctl.linearize(arm, law, motion(motion.duration).q, plant).modes()
+modes = armctl.linearize(arm, law, motion(motion.duration).q, plant).vibrations()
 for frequency, damping_ratio in modes[modes[:, 0] < 60.0][:2]:
     motion = armctl.shape_motion(motion, frequency, damping_ratio, "zvd")
 report = armctl.Report.from_log(armctl.simulate(arm, law, motion, plant, dwell=1.0))

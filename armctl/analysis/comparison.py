@@ -60,10 +60,11 @@ def compare(
     ]
     if len(lists) < 2:
         raise InputError("controllers, plants: expected a list of at least one of each, such as ['pd', 'computed-torque']")
+    names = [each if isinstance(each, str) else controller_name(each) for each in controllers]
     pairs = [
         _Pair(controller, plant, controller_label, plant_label)
         for plant, plant_label in zip(plants, _distinct(map(str, plants)), strict=True)
-        for controller, controller_label in zip(controllers, _distinct(map(_name_of, controllers)), strict=True)
+        for controller, controller_label in zip(controllers, _distinct(names), strict=True)
     ]
     poses = integer("poses", poses, 0)
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
@@ -128,11 +129,12 @@ def _with_margins(arm: Arm, pair: _Pair, report: Report, poses: int) -> Report:
         found = margins(arm, pair.controller, poses, [pair.plant])
     except ModelError:
         return report
-    return replace(report, delay_margin_s=found.delay.value, peak_sensitivity=found.peak_sensitivity.value)
-
-
-def _name_of(controller: Controller | str) -> str:
-    return controller if isinstance(controller, str) else controller_name(controller)
+    return replace(
+        report,
+        delay_margin_s=found.delay.value,
+        peak_sensitivity=found.peak_sensitivity.value,
+        damping_ratio=found.damping.value,
+    )
 
 
 def _distinct(names: Iterable[str]) -> list[str]:

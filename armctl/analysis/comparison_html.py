@@ -18,7 +18,6 @@ from armctl.analysis.report import Report, table
 from armctl.core import units
 from armctl.core.atomic import write_text
 from armctl.core.errors import NotInstalledError
-from armctl.core.log import Log
 from armctl.core.plotting import COLORS, figure_svg
 from armctl.render import record
 from armctl.robot.arm import Arm
@@ -37,7 +36,9 @@ def write_comparison(reports: Sequence[Report], folder: Path, motion: str, film_
     With `film_of` a film of the run with the largest error is beside each table, unless OpenGL or an encoder is missing.
     """
     title = f"Controllers compared on {reports[0].robot}"
-    conditions = _conditions(reports[0].log, motion)
+    log = reports[0].log
+    duration = f"{log.motion_duration:.2f} s, in ticks of {1e3 * log.dt:g} ms"
+    conditions = f"{motion}, {duration}. Errors are measured while the reference moves."
     notes = remarks(reports)
     figures = {"conditions": conditions, "remarks": notes, "runs": [r.to_dict() for r in reports]}
     markdown = [f"# {title}", "", conditions, "", *(f"- **{line}**" for line in notes), "", table(reports), ""]
@@ -49,11 +50,6 @@ def write_comparison(reports: Sequence[Report], folder: Path, motion: str, film_
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]
-
-
-def _conditions(log: Log, motion: str) -> str:
-    ticks = f"in ticks of {1e3 * log.dt:g} ms"
-    return f"{motion}, {log.motion_duration:.2f} s, {ticks}. Errors are measured while the reference moves."
 
 
 def _page(title: str, conditions: str, notes: Sequence[str], reports: Sequence[Report], film_of: Arm | None) -> str:

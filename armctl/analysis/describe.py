@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
+from typing import Any
 
 from armctl.analysis.static_payload import doubt_about_torque_limits, static_payload, static_payloads
 from armctl.control.margin_exceptions import margin_exceptions
@@ -15,7 +16,7 @@ from armctl.loading.chain import SerialChain
 from armctl.robot.arm import Arm
 
 
-def facts(arm: Arm) -> dict[str, object]:
+def facts(arm: Arm) -> dict[str, Any]:
     """An arm as plain data for JSON; an infinite limit becomes None."""
     limits = {
         f.name: [x if math.isfinite(x) else None for x in getattr(arm.limits, f.name).tolist()] for f in fields(arm.limits)
@@ -41,10 +42,9 @@ def facts(arm: Arm) -> dict[str, object]:
 def describe(arm: Arm) -> str:
     """An arm in words: a table of its joints and limits, and the sources of the limits."""
     data = facts(arm)
-    exceptions = margin_exceptions(arm)
     limits = arm.limits
     width = max(5, *map(len, arm.joint_names))
-    tip = ", ".join(f"{x:.4f}" for x in arm.fk(arm.home).position)
+    tip = ", ".join(f"{x:.4f}" for x in data["tip_at_home"])
     lines = [
         f"{arm.name}: {arm.n} joints, {data['mass_kg']:.2f} kg moving, tip {arm.tip!r} at [{tip}] m at home",
         f"{'joint':{width}} {'home':>8} {'q_min':>8} {'q_max':>8} {'v_max':>8} {'a_max':>8} {'j_max':>8} {'tau_max':>8}",
@@ -55,14 +55,14 @@ def describe(arm: Arm) -> str:
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     lines += [f"note: {note}" for note in arm.notes]
-    payload = static_payload(static_payloads(arm))
+    payload = data["static_payload_kg"]
     doubt = doubt_about_torque_limits(arm, payload)
     lines.append(doubt or f"static payload at the tip, in 95 % of configurations: {max(payload, 0.0):.3g} kg")
     lines.append(
         "default gains, computed-torque-observer and -learning: made for unknown payloads of up to "
         f"{data['unknown_payload_kg']:.3g} kg within 5 cm of the tip, and stable with twice that"
     )
-    return "\n".join(lines + [f"default gains, {exception}" for exception in exceptions])
+    return "\n".join(lines + [f"default gains, {exception}" for exception in data["margin_exceptions"]])
 
 
 def describe_end(log: Log) -> str:

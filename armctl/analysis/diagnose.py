@@ -126,17 +126,13 @@ def diagnose(
             return Diagnosis(name, (Finding("error", str(error)),), float("nan"))
     texts = [str(each.message) for each in caught if issubclass(each.category, ArmctlWarning)]
     capacity = static_payloads(arm)
-    found = [Finding("warning", text, _advice(text)) for text in texts]
+    found = [Finding("warning", text, next((_ADVICE[each] for each in _ADVICE if each in text), "")) for text in texts]
     found += _torque_findings(arm, capacity)
     found += _contact_findings(arm)
     found += _mass_findings(arm)
     found += _assumptions(arm, is_tip_given=tip is not None)
     found.sort(key=lambda finding: _SEVERITIES.index(finding.severity))
     return Diagnosis(arm.name, tuple(found), static_payload(capacity))
-
-
-def _advice(text: str) -> str:
-    return next((advice for phrase, advice in _ADVICE.items() if phrase in text), "")
 
 
 def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:

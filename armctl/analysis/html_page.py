@@ -20,19 +20,16 @@ figure { margin: 0; } video { max-width: 100%; }
 
 
 def page(title: str, *elements: str) -> str:
-    """A page with a heading above its elements."""
     escaped = html.escape(title)
     head = f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{escaped}</title>\n<style>{_STYLE}</style>'
     return "\n".join([head, f"<h1>{escaped}</h1>", *elements, "</html>\n"])
 
 
 def heading(text: str) -> str:
-    """A heading of the second level."""
     return f"<h2>{html.escape(text)}</h2>"
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of plain text."""
     return f"<p>{html.escape(text)}</p>"
 
 

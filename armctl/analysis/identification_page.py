@@ -47,33 +47,21 @@ def identification_page(estimate: ArmEstimate, path: str | os.PathLike[str]) -> 
 
 
 def _table(estimate: ArmEstimate) -> Table:
-    columns = [
-        "joint",
-        "held-out error",
-        "of its deviation",
-        "error of the model",
-        "Coulomb",
-        "viscous",
-        "rotor inertia",
-        "offset",
-    ]
     validation = estimate.validation
-    rows = []
-    for i, name in enumerate(estimate.arm.joint_names):
-        unit = estimate.arm.torque_units[i]
-        rows.append(
-            [
-                name,
-                f"{validation.rms[i]:.3g} {unit}",
-                f"{100 * validation.relative[i]:.1f} %",
-                f"{validation.model_rms[i]:.3g} {unit}",
-                f"{estimate.coulomb_friction[i]:.3g} +- {estimate.coulomb_error[i]:.1g}",
-                f"{estimate.viscous_friction[i]:.3g} +- {estimate.viscous_error[i]:.1g}",
-                f"{estimate.rotor_inertia[i]:.3g} +- {estimate.rotor_inertia_error[i]:.1g}",
-                f"{estimate.torque_offset[i]:.3g}",
-            ]
-        )
-    return Table(columns, rows)
+    rows = [
+        {
+            "joint": name,
+            "held-out error": f"{validation.rms[i]:.3g} {unit}",
+            "of its deviation": f"{100 * validation.relative[i]:.1f} %",
+            "error of the model": f"{validation.model_rms[i]:.3g} {unit}",
+            "Coulomb": f"{estimate.coulomb_friction[i]:.3g} +- {estimate.coulomb_error[i]:.1g}",
+            "viscous": f"{estimate.viscous_friction[i]:.3g} +- {estimate.viscous_error[i]:.1g}",
+            "rotor inertia": f"{estimate.rotor_inertia[i]:.3g} +- {estimate.rotor_inertia_error[i]:.1g}",
+            "offset": f"{estimate.torque_offset[i]:.3g}",
+        }
+        for i, (name, unit) in enumerate(zip(estimate.arm.joint_names, estimate.arm.torque_units, strict=True))
+    ]
+    return Table(list(rows[0]), [list(row.values()) for row in rows])
 
 
 def _draw(figure: Figure, estimate: ArmEstimate) -> None:

@@ -128,15 +128,13 @@ class Iso9283(Verdict):
     compliance_m_per_N: _Triple = _NO_TRIPLE
 
     def to_dict(self) -> dict[str, object]:
-        """The figures by name, for JSON: NaN becomes None.
-
-        Returns:
-            Every attribute.
-        """
+        """Every attribute by name, for JSON: NaN becomes None."""
         return {name: _for_json(value) for name, value in asdict(self).items()}
 
     def __str__(self) -> str:
         done = f"{self.cycles} cycles of 5 poses, {self.path_cycles} of the path" if self.ok else f"failed: {self.reason}"
+        speeds = (self.speed_accuracy, self.speed_repeatability, self.speed_fluctuation)
+        times = ", ".join(f"{time:.3f} s for {1e3 * distance:.0f} mm" for distance, time in self.posing_times)
         return "\n".join(
             [
                 f"ISO 9283, {self.robot}, {self.controller}: {done}",
@@ -156,19 +154,11 @@ class Iso9283(Verdict):
                 f"{1e6 * self.whole_path_repeatability_m:.3g} um anywhere",
                 f"  8.5 corner round-off CR       {1e3 * self.corner_round_off_m:.3g} mm",
                 f"  8.5 corner overshoot CO       {1e6 * self.corner_overshoot_m:.3g} um",
-                f"  8.6 path velocity AV, RV, FV  {_listed(100, self._speeds)} % of {1e3 * self.path_speed_m_s:.0f} mm/s",
-                f"  9   minimum posing time       {self._posing_text}",
+                f"  8.6 path velocity AV, RV, FV  {_listed(100, speeds)} % of {1e3 * self.path_speed_m_s:.0f} mm/s",
+                f"  9   minimum posing time       {times or 'none'}",
                 f"  10  static compliance x, y, z {_listed(1e6, self.compliance_m_per_N)} um/N",
             ]
         )
-
-    @property
-    def _speeds(self) -> _Triple:
-        return self.speed_accuracy, self.speed_repeatability, self.speed_fluctuation
-
-    @property
-    def _posing_text(self) -> str:
-        return ", ".join(f"{time:.3f} s for {1e3 * distance:.0f} mm" for distance, time in self.posing_times) or "none"
 
 
 def iso9283_cycles(
@@ -380,15 +370,11 @@ def _poses(arm: Arm) -> tuple[float, Array, Array]:
             if not found.ok:
                 break
             q.append(found.q)
-        if len(q) == len(points) and _is_free(arm, q):
-            return float(edge), points, np.array(q)
+        if len(q) == len(points):
+            ways = [a + share * (b - a) for a, b in pairwise([q[k] for k in _ORDER]) for share in np.linspace(0, 1, 20)]
+            if not collision_checker(arm).along(np.array(ways)):
+                return float(edge), points, np.array(q)
     raise PlanError(f"{arm.name}: it cannot work in a cube of {1e3 * _EDGES[-1]:.0f} mm around its tip at home")
-
-
-def _is_free(arm: Arm, q: list[Array]) -> bool:
-    """Whether nothing touches on the ways between the poses."""
-    ways = [a + share * (b - a) for a, b in pairwise([q[k] for k in _ORDER]) for share in np.linspace(0, 1, 20)]
-    return not collision_checker(arm).along(np.array(ways))
 
 
 def _target(arm: Arm, point: Array) -> Pose | Array:

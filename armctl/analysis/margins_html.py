@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import degrees, isfinite
 from pathlib import Path
 
@@ -16,12 +16,22 @@ from armctl.design.margins import Margins
 from armctl.robot.arm import Arm
 from armctl.sim.plant import NOMINAL, Plant
 
-_HEADER = ("controller", "delay margin, ms", "in ticks", "gain margin", "phase margin, deg", "Ms", "worst delay at q", "note")
+_COLUMNS: dict[str, Callable[[Margins], str]] = {
+    "controller": lambda m: m.controller,
+    "delay margin, ms": lambda m: _text(1e3 * m.delay.value, ".1f"),
+    "in ticks": lambda m: str(int(m.delay.value / m.dt)) if isfinite(m.delay.value) else "-",
+    "gain margin": lambda m: _text(m.gain.value, ".3g"),
+    "phase margin, deg": lambda m: _text(degrees(m.phase.value), ".0f"),
+    "Ms": lambda m: _text(m.peak_sensitivity.value, ".2f"),
+    "least damping": lambda m: _text(m.damping.value, ".2g"),
+    "worst delay at q": lambda m: " ".join(f"{x:.2f}" for x in m.delay.q),
+    "note": lambda m: m.reason,
+}
 
 
 def margins_table(found: Sequence[Margins]) -> Table:
     """One row for each controller."""
-    return Table(_HEADER, [_row(each) for each in found])
+    return Table(list(_COLUMNS), [[cell(each) for cell in _COLUMNS.values()] for each in found])
 
 
 def write_margins(arm: Arm, found: Sequence[Margins], plants: Sequence[Plant], folder: Path) -> Path:
@@ -38,20 +48,6 @@ def write_margins(arm: Arm, found: Sequence[Margins], plants: Sequence[Plant], f
     path = folder / "margins.html"
     write_text(path, html_page.page(f"Margins of controllers on {arm.name}", *introduction, *elements))
     return path
-
-
-def _row(margins: Margins) -> list[str]:
-    delay = margins.delay.value
-    return [
-        margins.controller,
-        _text(1e3 * delay, ".1f"),
-        str(int(delay / margins.dt)) if isfinite(delay) else "-",
-        _text(margins.gain.value, ".3g"),
-        _text(degrees(margins.phase.value), ".0f"),
-        _text(margins.peak_sensitivity.value, ".2f"),
-        " ".join(f"{x:.2f}" for x in margins.delay.q),
-        margins.reason,
-    ]
 
 
 def _text(value: float, digits: str) -> str:

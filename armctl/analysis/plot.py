@@ -161,20 +161,17 @@ def _torque_limits(ax: Axes, log: Log) -> None:
     peak = float(np.nanmax(np.abs(log.tau)))
     for limit in sorted({float(x) for x in log.tau_max if x <= 1.5 * peak}):
         joints = [name for name, bound in zip(log.joint_names, log.tau_max, strict=True) if bound == limit]
+        names = " and ".join(joints) if len(joints) <= 2 else f"{joints[0]} to {joints[-1]}"
         for bound in (-limit, limit):
             ax.axhline(bound, **_BOUND)
         ax.annotate(
-            f"limit of {_range_of_names(joints)}: {limit:g}",
+            f"limit of {names}: {limit:g}",
             (1.0, limit),
             xycoords=("axes fraction", "data"),
             ha="right",
             va="bottom",
             fontsize=7,
         )
-
-
-def _range_of_names(names: Sequence[str]) -> str:
-    return " and ".join(names) if len(names) <= 2 else f"{names[0]} to {names[-1]}"
 
 
 def _target(ax: Axes, log: Log) -> None:

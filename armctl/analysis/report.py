@@ -19,6 +19,7 @@ from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
+from armctl.design.loop import MIN_DAMPING_RATIO
 
 _MAX_CONTACTS_SHOWN = 3
 _MIN_JOINT_ERROR_SHOWN = 1e-15
@@ -55,6 +56,7 @@ class Report(Verdict):
         real_time_factor: Simulated time divided by computing time.
         delay_margin_s: The smallest delay margin of the controller on the plant; NaN unless `compare` computed margins.
         peak_sensitivity: Its largest Ms; NaN as for the delay margin.
+        damping_ratio: That of its least damped vibration, likewise; infinite if there is none.
         residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
             rests.
     """
@@ -84,6 +86,7 @@ class Report(Verdict):
     log: Log
     delay_margin_s: float = math.nan
     peak_sensitivity: float = math.nan
+    damping_ratio: float = math.nan
     residual_vibration_m: float = math.nan
 
     @classmethod
@@ -151,11 +154,7 @@ class Report(Verdict):
         )
 
     def to_dict(self) -> dict[str, object]:
-        """The figures by name, for JSON: NaN and infinity become None.
-
-        Returns:
-            Every attribute but the log.
-        """
+        """Every attribute but the log by name, for JSON: NaN and infinity become None."""
         figures = {k: v for k, v in self.__dict__.items() if k != "log"}
         figures["contacts"] = [contact._asdict() for contact in self.contacts]
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in figures.items()}
@@ -177,7 +176,8 @@ class Report(Verdict):
             f" {self.real_time_factor:.0f} times real time",
             "tip error": f"final {length_text(self.final_tip_error_m)}{turned}; while moving RMS {length_text(self.tip_rms_m)},"
             f" max {length_text(self.tip_max_m)}",
-            "joint error": f"while moving RMS {_joint_rms(self, with_unit=True)}, max {_joint_max(self, with_unit=True)}",
+            "joint error": f"while moving RMS {_joint_error(self.joint_rms_rad, self.joint_rms_m, with_unit=True)},"
+            f" max {_joint_error(self.joint_max_rad, self.joint_max_m, with_unit=True)}",
             "at the goal": f"{settled}, overshoot {length_text(self.overshoot_m)}",
             "torque": f"peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
             f" {100 * self.saturated_fraction:.1f} % of the time, chatter {_chatter_text(self.chatter_nm)} {torque_unit}",
@@ -221,38 +221,24 @@ def report_table(reports: Sequence[Report]) -> Table:
     joint_units = list(dict.fromkeys(unit for r in reports for unit in r.log.units))
     mixed = len(joint_units) > 1
     joint = "" if mixed else f", {units.label(joint_units)}"
-    has_margins = not all(math.isnan(r.peak_sensitivity) for r in reports)
-    margin_header = ["delay margin, ms", "Ms"] if has_margins else []
-    header = [
-        "controller",
-        "plant",
-        f"joint RMS{joint}",
-        f"joint max{joint}",
-        "tip RMS",
-        "tip max",
-        "final tip error",
-        "peak torque",
-        f"chatter, {units.label(units.of_torque(joint_units))}",
-        *margin_header,
-        "verdict",
-    ]
-    rows = [
-        [
-            r.controller,
-            r.plant,
-            _joint_rms(r, with_unit=mixed),
-            _joint_max(r, with_unit=mixed),
-            length_text(r.tip_rms_m),
-            length_text(r.tip_max_m),
-            length_text(r.final_tip_error_m),
-            f"{100 * r.peak_torque_ratio:.0f} %",
-            _chatter_text(r.chatter_nm),
-            *([_margin_text(1e3 * r.delay_margin_s), _margin_text(r.peak_sensitivity)] if has_margins else []),
-            r.verdict.split(":")[0],
-        ]
-        for r in reports
-    ]
-    return Table(header, rows)
+    columns: dict[str, Callable[[Report], str]] = {
+        "controller": lambda r: r.controller,
+        "plant": lambda r: r.plant,
+        f"joint RMS{joint}": lambda r: _joint_error(r.joint_rms_rad, r.joint_rms_m, with_unit=mixed),
+        f"joint max{joint}": lambda r: _joint_error(r.joint_max_rad, r.joint_max_m, with_unit=mixed),
+        "tip RMS": lambda r: length_text(r.tip_rms_m),
+        "tip max": lambda r: length_text(r.tip_max_m),
+        "final tip error": lambda r: length_text(r.final_tip_error_m),
+        "peak torque": lambda r: f"{100 * r.peak_torque_ratio:.0f} %",
+        f"chatter, {units.label(units.of_torque(joint_units))}": lambda r: _chatter_text(r.chatter_nm),
+    }
+    if not all(math.isnan(r.peak_sensitivity) for r in reports):
+        columns["delay margin, ms"] = lambda r: _margin_text(1e3 * r.delay_margin_s)
+        columns["Ms"] = lambda r: _margin_text(r.peak_sensitivity)
+        if any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports):
+            columns["least damping"] = lambda r: _margin_text(r.damping_ratio)
+    columns["verdict"] = lambda r: r.verdict.split(":")[0]
+    return Table(list(columns), [[cell(r) for cell in columns.values()] for r in reports])
 
 
 def best_cells(reports: Sequence[Report], table: Table) -> set[tuple[int, int]]:
@@ -279,6 +265,7 @@ _RANKED: dict[str, Callable[[Report], float]] = {
     "final tip": lambda r: r.final_tip_error_m,
     "delay margin": lambda r: -r.delay_margin_s,
     "Ms": lambda r: r.peak_sensitivity,
+    "least damping": lambda r: -r.damping_ratio,
 }
 
 
@@ -357,15 +344,7 @@ def _chatter_text(chatter: float) -> str:
     return "<0.001" if chatter < _MIN_CHATTER_SHOWN else f"{chatter:.2g}"
 
 
-def _joint_rms(report: Report, *, with_unit: bool) -> str:
-    return _joint_figure(report.joint_rms_rad, report.joint_rms_m, with_unit)
-
-
-def _joint_max(report: Report, *, with_unit: bool) -> str:
-    return _joint_figure(report.joint_max_rad, report.joint_max_m, with_unit)
-
-
-def _joint_figure(hinges: float, slides: float, with_unit: bool) -> str:
+def _joint_error(hinges: float, slides: float, *, with_unit: bool) -> str:
     """The error of the hinge joints and that of the slide joints, of those that the arm has."""
     known = [(value, unit) for value, unit in ((hinges, "rad"), (slides, "m")) if not math.isnan(value)]
     texts = ["<1e-15" if value < _MIN_JOINT_ERROR_SHOWN else f"{value:.1e}" for value, _ in known]

@@ -141,7 +141,6 @@ def one_number(what: str, word: str) -> float:
 
 
 def speed_from(word: str) -> float:
-    """The checked value of --speed."""
     speed = one_number("speed", word)
     if not 0.0 < speed <= 1.0:
         raise InputError(f"speed: expected a fraction in (0, 1], got {speed:g}")

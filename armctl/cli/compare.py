@@ -70,7 +70,8 @@ def run(args: argparse.Namespace) -> int:
     timestep = common.timestep_from(args)
     controllers = common.controllers_from(args.controllers)
     noise = number("encoder_noise", common.one_number("encoder_noise", args.encoder_noise), 0.0)
-    plants = [_with_encoder(plant_by_name(name, arm, timestep), noise) for name in common.names(args.plants)]
+    plants = [plant_by_name(name, arm, timestep) for name in common.names(args.plants)]
+    plants = [each if each.encoder_noise else replace(each, encoder_noise=noise, name=str(each)) for each in plants]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
     laws, notes = _tuned(args, arm, controllers, plants) if args.delay_margin else (controllers, [])
@@ -106,11 +107,6 @@ def _tuned(
                 notes.append(f"{name} has its default gains: {'it has no gains to tune' if found is None else found.reason}")
             bar.update()
     return controllers, notes
-
-
-def _with_encoder(plant: Plant, noise: float) -> Plant:
-    """The plant with noise of its encoders, rad, unless it has some; its name is the same."""
-    return plant if plant.encoder_noise else replace(plant, encoder_noise=noise, name=str(plant))
 
 
 def _file_prefixes(reports: Sequence[Report]) -> list[str]:

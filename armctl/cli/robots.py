@@ -26,10 +26,18 @@ def add(commands: common.Commands) -> None:
 
 def list_robots(args: argparse.Namespace) -> int:
     """The robots that have a name, or the ratings of all data sheets."""
+    from armctl.loading.catalog import installed_robots, robots
+    from armctl.loading.datasheets import ALIASES
+
     if args.ratings:
-        _print_ratings(args)
-    else:
-        _print_names(args)
+        return _list_ratings(args)
+    known = robots()
+    installed = set(installed_robots())
+    here = {name: ALIASES.get(name, name) in installed for name in known}
+    width = max(map(len, known))
+    lines = [f"{name:{width}}  {text}{'  [on this machine]' if here[name] else ''}" for name, text in known.items()]
+    rows = [{"name": name, "description": text, "on_this_machine": here[name]} for name, text in known.items()]
+    common.print_result(args, "\n".join(lines), rows)
     return common.DONE
 
 
@@ -64,20 +72,7 @@ def run_doctor(args: argparse.Namespace) -> int:
     return common.DONE if found else common.NOT_REACHED
 
 
-def _print_names(args: argparse.Namespace) -> None:
-    from armctl.loading.catalog import installed_robots, robots
-    from armctl.loading.datasheets import ALIASES
-
-    known = robots()
-    installed = set(installed_robots())
-    here = {name: ALIASES.get(name, name) in installed for name in known}
-    width = max(map(len, known))
-    lines = [f"{name:{width}}  {text}{'  [on this machine]' if here[name] else ''}" for name, text in known.items()]
-    rows = [{"name": name, "description": text, "on_this_machine": here[name]} for name, text in known.items()]
-    common.print_result(args, "\n".join(lines), rows)
-
-
-def _print_ratings(args: argparse.Namespace) -> None:
+def _list_ratings(args: argparse.Namespace) -> int:
     from armctl.loading.datasheets import rated_arms, ratings_table
 
     rows = [
@@ -91,3 +86,4 @@ def _print_ratings(args: argparse.Namespace) -> None:
         for name, row in rated_arms().items()
     ]
     common.print_result(args, ratings_table().text(), rows)
+    return common.DONE

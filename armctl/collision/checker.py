@@ -35,9 +35,6 @@ class CollisionChecker:
     Everything outside the arm's chain stands where `qpos` has it. Left out are contacts that no motion of the arm changes,
     pairs that touch at every one of many random configurations, neighboring links that touch at home (their geoms overlap by
     design), and pairs that one joint alone moves and that are proved apart over its whole range.
-
-    Attributes:
-        geometry: The geoms and pairs.
     """
 
     def __init__(
@@ -86,7 +83,7 @@ class CollisionChecker:
         return hit.pair == len(self.geometry.pairs)
 
     def _set(self, geometry: Geometry) -> None:
-        self.geometry = geometry
+        self.geometry = geometry  # the geoms and pairs
         self._memory = _Memory(geometry)
 
     def at(self, q: Array, clearance: float = 0.0) -> str:

@@ -8,7 +8,6 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from armctl._core import Approach
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.collision.interface import KeptAxis
@@ -128,26 +127,15 @@ def clearance_of(
         )
     checker.forget()
     approach = checker.closest_approach(trajectory.knots, trajectory.coefficients, clearance, keep)
-    if approach.bound < 0.0:
-        return _refused(checker, trajectory, clearance, approach, keep)
-    if not len(checker.geometry.pairs):
-        return ClearanceCheck(True, _NO_PAIRS_M, 0.0, "", "", clearance, "")
-    first, second = checker.names(approach.nearest.pair)
-    return ClearanceCheck(True, approach.bound, approach.nearest.time, first, second, clearance, "")
-
-
-def _refused(
-    checker: CollisionChecker,
-    trajectory: PiecewiseTrajectory,
-    clearance: float,
-    approach: Approach,
-    keep: KeptAxis | None,
-) -> ClearanceCheck:
     hit = approach.nearest
+    has_pairs = bool(len(checker.geometry.pairs))
+    if approach.bound >= 0.0 and not has_pairs:
+        return ClearanceCheck(True, _NO_PAIRS_M, 0.0, "", "", clearance, "")
+    if approach.bound >= 0.0:
+        return ClearanceCheck(True, approach.bound, hit.time, *checker.names(hit.pair), clearance, "")
     if keep is not None and checker.tilts(hit):
         what = f"the tip's {keep.name} axis tilts by more than {keep.within:.3g} rad, at {hit.time:.3f} s"
-        distance = approach.distance if len(checker.geometry.pairs) else _NO_PAIRS_M
-        return ClearanceCheck(False, distance, hit.time, "", "", clearance, what)
+        return ClearanceCheck(False, approach.distance if has_pairs else _NO_PAIRS_M, hit.time, "", "", clearance, what)
     q = trajectory(hit.time).q
     pair, distance = checker.nearest(q)
     first, second = checker.names(pair)

@@ -16,8 +16,8 @@ from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
 DEFAULT_HORIZON_S = 0.25
-_BLOCKS = 8  # of the horizon
-_GROWTH = 1.4  # of their lengths: what is far ahead may be coarse
+_BLOCKS = 10  # of the horizon
+_GROWTH = 1.25  # of their lengths: what is far ahead may be coarse
 _MIN_BLOCK_TICKS = 2
 
 
@@ -44,10 +44,10 @@ class MPC(ComputedTorqueQP):
     """Model predictive control: plans the acceleration over a horizon, within the limits of torque, velocity and position.
 
     While the motion of computed torque respects all limits within the horizon, the law is computed torque. Otherwise a
-    quadratic program adds accelerations c, linear in each of eight blocks of the horizon, that minimize what the limits add to
+    quadratic program adds accelerations c, linear in each of ten blocks of the horizon, that minimize what the limits add to
     the quadratic cost of the tip's errors (see `armctl/cpp/laws/mpc.hpp`). The model is that of inverse dynamics, linearized
-    along the predicted motion at every tick. A simulation passes the reference of the next ticks on, so the arm accelerates
-    before a torque limit becomes active; without it, the reference is extrapolated at constant velocity.
+    along the motion of computed torque at every tick. A simulation passes the reference of the next ticks on, so the arm
+    accelerates before a torque limit becomes active; without it, the reference is extrapolated at constant velocity.
 
     The program of `ComputedTorqueQP` then keeps the limits of the tick itself, and brakes before the end of a joint's range.
     `counts` reports limits that contradict each other, and ticks without a plan. A reference outside of the range of a joint is

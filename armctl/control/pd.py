@@ -82,9 +82,6 @@ class PD(ArmController):
 
         Args:
             dt: s, the control period; 0 means continuous time.
-
-        Returns:
-            The gains of all joints.
         """
         dt, _ = checked_period(dt, False)
         default = margin_gains(self._arm, dt, self.delay_margin) if self._has_default_gains and dt else self._default

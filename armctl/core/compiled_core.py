@@ -30,11 +30,8 @@ def build_problem(extension: str, checksum: int) -> str:
     return f"{extension} was built from other sources than those in {folder}; run `make core` to build it again"
 
 
-def _write_header(folder: str, header: str) -> None:
+if __name__ == "__main__":
+    folder, header = sys.argv[1:]
     os.makedirs(os.path.dirname(header), exist_ok=True)
     with open(header, "w", encoding="utf-8") as file:
         file.write(f"#pragma once\nnamespace armctl {{\nconstexpr unsigned SOURCE_CHECKSUM = {source_checksum(folder)}u;\n}}\n")
-
-
-if __name__ == "__main__":
-    _write_header(sys.argv[1], sys.argv[2])

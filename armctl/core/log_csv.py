@@ -116,7 +116,11 @@ def _read_table(path: os.PathLike[str], wanted: Mapping[str, str | list[str]]) -
         delimiter = max(",;\t", key=first.count)
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
         names = {quantity: _matching(quantity, wanted[quantity], header) for quantity in _QUANTITIES}
-        _check_counts(names)
+        if len(names["t"]) != 1:
+            raise InputError(f"expected 1 column for t, found {len(names['t'])}")
+        if len(names["q"]) != len(names["tau"]):
+            counts = f"{len(names['q'])} for q and {len(names['tau'])} for tau"
+            raise InputError(f"expected equal numbers of columns, found {counts}")
         order = [header.index(name) for quantity in _QUANTITIES for name in names[quantity]]
         rows = csv.reader(file, delimiter=delimiter)
         return names, _numbers(rows, order, len(header))
@@ -139,13 +143,6 @@ def _matching(quantity: str, wanted: str | list[str], header: list[str]) -> list
     if len(set(found)) < len(found):
         raise InputError(f"columns: {quantity}: a name is given twice")
     return found
-
-
-def _check_counts(names: Mapping[str, list[str]]) -> None:
-    if len(names["t"]) != 1:
-        raise InputError(f"expected 1 column for t, found {len(names['t'])}")
-    if len(names["q"]) != len(names["tau"]):
-        raise InputError(f"expected equal numbers of columns, found {len(names['q'])} for q and {len(names['tau'])} for tau")
 
 
 def _numbers(rows, order: list[int], width: int) -> Array:

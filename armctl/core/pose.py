@@ -78,7 +78,7 @@ class Pose:
     __delattr__ = __setattr__  # type: ignore[assignment]
 
     def __reduce__(self):
-        return _rebuilt, (np.array(self.position), np.array(self.rotation))
+        return Pose.from_rotation, (np.array(self.position), np.array(self.rotation))
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Pose:
@@ -116,7 +116,9 @@ class Pose:
         pose = cls.__new__(cls)
         try:
             R = np.asarray(rotation, dtype=np.float64)
-            pose._fill(position, _quat_from_matrix(R), R)
+            wxyz = np.empty(4)
+            _mujoco().mju_mat2Quat(wxyz, R.ravel())
+            pose._fill(position, _canonical(wxyz), R)
         except Exception:  # this path is fast for valid values; the checks find out what is wrong
             matrix("rotation", rotation, 3)
             vector("position", position, 3)
@@ -222,10 +224,6 @@ def _mujoco() -> ModuleType:
     return mujoco
 
 
-def _rebuilt(position: Array, rotation: Array) -> Pose:
-    return Pose.from_rotation(position, rotation)
-
-
 def _canonical(wxyz: Array) -> Array:
     """Of q and -q, the same rotation, the one with w >= 0."""
     return -wxyz if wxyz[0] < 0 else wxyz
@@ -254,10 +252,3 @@ def matrix_from_quat(wxyz: Array) -> Array:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def _quat_from_matrix(R: Array) -> Array:
-    """The unit quaternion wxyz, with w >= 0, of a rotation matrix."""
-    wxyz = np.empty(4)
-    _mujoco().mju_mat2Quat(wxyz, R.ravel())
-    return _canonical(wxyz)

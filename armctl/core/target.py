@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -43,24 +43,13 @@ class Target:
         Raises:
             InputError: The target has a wrong length or a number that is not finite, or a tolerance is negative or not finite.
         """
-        if isinstance(target, Target):
-            if tolerance is None and angle_tolerance is None:
-                return target
-            position = target.position
-            pose = target.pose
-            default_tolerance = target.tolerance
-            default_angle_tolerance = target.angle_tolerance
-        else:
-            pose = target if isinstance(target, Pose) else None
-            position = target.position if isinstance(target, Pose) else vector("target", target, 3)
-            default_tolerance = TOLERANCE
-            default_angle_tolerance = ANGLE_TOLERANCE
-        return cls(
-            position,
-            pose,
-            default_tolerance if tolerance is None else number("tolerance", tolerance, 0.0),
-            default_angle_tolerance if angle_tolerance is None else number("angle_tolerance", angle_tolerance, 0.0),
-        )
+        if isinstance(target, Pose):
+            target = cls(target.position, target)
+        elif not isinstance(target, Target):
+            target = cls(vector("target", target, 3), None)
+        given = {"tolerance": tolerance, "angle_tolerance": angle_tolerance}
+        checked = {name: number(name, value, 0.0) for name, value in given.items() if value is not None}
+        return replace(target, **checked) if checked else target
 
     @property
     def numbers(self) -> Array:

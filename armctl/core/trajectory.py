@@ -41,24 +41,18 @@ class Trajectory(Protocol):
         ...
 
     def __call__(self, t: float) -> Setpoint:
-        """The setpoint at a time.
+        """The setpoint at a time: q, v, a, each (n,).
 
         Args:
             t: s, clamped to [0, duration].
-
-        Returns:
-            q, v, a, each (n,).
         """
         ...
 
     def sample(self, times: ArrayLike) -> Setpoint:
-        """The setpoints at many times at once.
+        """The setpoints at many times at once: q, v, a, each (T, n).
 
         Args:
             times: (T,) s, each clamped to [0, duration].
-
-        Returns:
-            q, v, a, each (T, n).
         """
         ...
 

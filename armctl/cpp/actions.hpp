@@ -3,6 +3,7 @@
 #include "dynamics.hpp"
 #include "errors.hpp"
 #include "law.hpp"
+#include "motors.hpp"
 
 namespace armctl {
 
@@ -33,8 +34,10 @@ struct ActionOptions {
         for (size_t i = 0; i < n; ++i) { limits.push_back({rows(0, i), rows(1, i), rows(2, i), rows(3, i), rows(4, i)}); }
         const bool is_cartesian = mode == ActionMode::cartesian_delta || mode == ActionMode::cartesian_pose;
         const bool has_right_size = is_cartesian ? size == 3 || size == 6 : size == n;
-        if (!has_right_size || ticks == 0 || !(dt > 0.0)) {
-            throw InputError("action: need a number for each joint, or 3 or 6 for the tip; a positive dt; and at least one tick");
+        if (!has_right_size || ticks == 0 || smoothing == 0 || !(dt > 0.0)) {
+            throw InputError(
+                "action: need a number for each joint, or 3 or 6 for the tip; a positive dt; and at least one tick of a step and of "
+                "smoothing");
         }
     }
 
@@ -47,6 +50,7 @@ struct ActionOptions {
     double joint_scale = given.number("joint_scale");  // s: a full action moves a joint's target as far as full speed does in this time
     double position_scale = given.number("position_scale");  // m, of a full cartesian action
     double rotation_scale = given.number("rotation_scale");  // rad, of a full cartesian action
+    size_t smoothing = given.count("smoothing");             // ticks over which the reference is averaged
     double approach_rate = given.number("approach_rate");    // 1/s, at which a reference approaches its target near the end
     double tip_damping = given.number("tip_damping");        // of the inverse Jacobian, squared
     // The tip at home, where cartesian poses begin.
@@ -157,6 +161,46 @@ private:
     size_t components_ = options_.size == 6 ? 6 : 3;
     DenseMatrix square_{components_, components_};
     Numbers start_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros();
+};
+
+// The mean of a reference over the last ticks. It stays within the same positions, speeds and accelerations, and its acceleration
+// changes by at most 2 a_max in the time of the mean, which limits the jerk.
+//
+// Source: L. Biagiotti, C. Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain specifications",
+// Control Engineering Practice 20(12), 2012.
+class ReferenceMean {
+public:
+    ReferenceMean(size_t n, size_t ticks) : n_(n), ticks_(ticks), given_(3 * n, ticks), now_(3 * n), sum_(3 * n) {}
+
+    // Begins at rest at a place (n,) rad.
+    void restart(Vector q) {
+        std::ranges::fill(now_, 0.0);
+        copy(q, Result(now_).first(n_));
+        for (size_t i = 0; i < sum_.size(); ++i) { sum_[i] = static_cast<double>(ticks_) * now_[i]; }
+        given_.restart(ticks_);
+        given_.delayed(now_);
+    }
+
+    // The mean with the reference of this tick; it is valid until the next call.
+    Setpoint mean(const Setpoint& setpoint) {
+        copy(setpoint.q, Result(now_).first(n_));
+        copy(setpoint.v, Result(now_).subspan(n_, n_));
+        copy(setpoint.a, Result(now_).last(n_));
+        const Vector oldest = given_.delayed(now_);
+        for (size_t i = 0; i < sum_.size(); ++i) {
+            sum_[i] += now_[i] - oldest[i];
+            now_[i] = sum_[i] / static_cast<double>(ticks_);
+        }
+        const Vector v = Vector(now_).subspan(n_, n_);
+        const Vector a = Vector(now_).last(n_);
+        return {.q = Vector(now_).first(n_), .v = v, .a = a, .v_tick = v, .a_tick = a};
+    }
+
+private:
+    size_t n_;
+    size_t ticks_;
+    Delay given_;  // position, velocity and acceleration, (3 n,)
+    Numbers now_, sum_;
 };
 
 // Torques of actions, where a torque that would drive a joint too fast or into a stop is replaced by one that brakes it.

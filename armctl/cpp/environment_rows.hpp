@@ -5,7 +5,6 @@
 #include <optional>
 
 #include "actions.hpp"
-#include "motors.hpp"
 
 namespace armctl {
 
@@ -59,7 +58,10 @@ public:
             object_ = {address(addresses[0]), address(addresses[1])};
         }
         if (given.has("obstacle")) { obstacle_ = static_cast<std::int32_t>(given.integer("obstacle")); }
-        for (size_t row = 0; row < arrays_.count; ++row) { copies_.emplace_back(law.clone(), given.count("max_delay")); }
+        for (size_t row = 0; row < arrays_.count; ++row) {
+            copies_.emplace_back(law.clone(), given.count("max_delay"), options_.smoothing);
+            restart(row, 0);
+        }
     }
 
     size_t joints() const { return motors_.size(); }
@@ -86,6 +88,7 @@ public:
         Copy& copy = copies_[row];
         copy.law->reset();
         copy.delay.restart(delay);
+        copy.mean.restart(arrays_.q_ref.row(row));
         copy.grip_target = 1.0;
     }
 
@@ -131,10 +134,12 @@ private:
     }
 
     struct Copy {
-        Copy(std::unique_ptr<Law> own_law, size_t max_delay) : law(std::move(own_law)), delay(law->joints(), max_delay) {}
+        Copy(std::unique_ptr<Law> own_law, size_t max_delay, size_t smoothing)
+            : law(std::move(own_law)), delay(law->joints(), max_delay), mean(law->joints(), smoothing) {}
 
         std::unique_ptr<Law> law;
         Delay delay;
+        ReferenceMean mean;
         MujocoSimulation simulation;
         double grip_target = 1.0;  // where the gripper's controls are, from closed (0) to open (1)
         std::mutex in_use;
@@ -176,7 +181,8 @@ private:
             work.guard.torque(arrays_.action.row(row), work.q_seen, work.v_seen, work.tau);
         } else {
             const Setpoint setpoint = work.targets.advance(arrays_.target.row(row), arrays_.q_ref.row(row), arrays_.v_ref.row(row));
-            copy.law->torque({.q = work.q_seen, .v = work.v_seen, .wrench = {}}, setpoint, work.tau);
+            const Setpoint smooth = options_.smoothing == 1 ? setpoint : copy.mean.mean(setpoint);
+            copy.law->torque({.q = work.q_seen, .v = work.v_seen, .wrench = {}}, smooth, work.tau);
         }
         if (!gripper_.empty()) { drive_gripper(row); }
         command_motors(motors_, copy.delay.delayed(work.tau), copy.simulation);

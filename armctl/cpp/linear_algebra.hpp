@@ -35,10 +35,18 @@ private:
 
 inline void copy(Vector from, Result to) { std::ranges::copy(from, to.begin()); }
 
-// total + a . b, for a vector, a row or a column a.
+// total + a . b, for a vector, a row or a column a. The sum of long ones has four parts, which do not wait for each other.
 template <class Numbered>
 double dot(const Numbered& a, Vector b, double total = 0.0) {
-    for (size_t i = 0; i < b.size(); ++i) { total += a[i] * b[i]; }
+    size_t i = 0;
+    if (b.size() >= 16) {
+        double parts[4] = {};
+        for (; i + 4 <= b.size(); i += 4) {
+            for (size_t k = 0; k < 4; ++k) { parts[k] += a[i + k] * b[i + k]; }
+        }
+        total += (parts[0] + parts[1]) + (parts[2] + parts[3]);
+    }
+    for (; i < b.size(); ++i) { total += a[i] * b[i]; }
     return total;
 }
 
@@ -62,16 +70,15 @@ inline void turn_rows(MatrixResult A, size_t i, size_t k, double cosine, double 
 // Replaces x, whose numbers before `first` are zero, by the solution of L solution = x, with a lower triangle L.
 inline void forward_substitute(Matrix L, Result x, size_t first = 0) {
     for (size_t i = first; i < x.size(); ++i) {
-        for (size_t k = first; k < i; ++k) { x[i] -= L(i, k) * x[k]; }
-        x[i] /= L(i, i);
+        x[i] = (x[i] - dot(L.row(i).subspan(first), Vector(x).subspan(first, i - first))) / L(i, i);
     }
 }
 
 // Replaces x by the solution of L^T solution = x.
 inline void backward_substitute(Matrix L, Result x) {
     for (size_t i = x.size(); i-- > 0;) {
-        for (size_t k = i + 1; k < x.size(); ++k) { x[i] -= L(k, i) * x[k]; }
         x[i] /= L(i, i);
+        for (size_t k = 0; k < i; ++k) { x[k] -= L(i, k) * x[i]; }
     }
 }
 

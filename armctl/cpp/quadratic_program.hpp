@@ -213,9 +213,11 @@ private:
 
     // Moves the point along the part of the entering normal that the active ones do not span.
     void move(double step) {
+        std::ranges::fill(direction_, 0.0);
         for (size_t j = count_; j < n_; ++j) {
-            for (size_t k = 0; k < n_; ++k) { point_[k] += step * coordinates_[j] * basis_(j, k); }
+            for (size_t k = 0; k < n_; ++k) { direction_[k] += coordinates_[j] * basis_(j, k); }
         }
+        for (size_t k = 0; k < n_; ++k) { point_[k] += step * direction_[k]; }
     }
 
     // The point nearest to the start on all active bounds, computed anew: the rounding of the steps does not remain.
@@ -234,13 +236,10 @@ private:
         triangle_(count_, count_) = length;
         coordinates_[count_] -= length;
         const double scale = 1.0 / (length * coordinates_[count_]);
-        Numbers& product = rates_;  // which are computed again before they are read
-        std::ranges::fill(product, 0.0);
+        for (size_t k = 0; k < n_; ++k) { direction_[k] -= length * basis_(count_, k); }
         for (size_t j = count_; j < n_; ++j) {
-            for (size_t k = 0; k < n_; ++k) { product[k] += coordinates_[j] * basis_(j, k); }
-        }
-        for (size_t j = count_; j < n_; ++j) {
-            for (size_t k = 0; k < n_; ++k) { basis_(j, k) += scale * coordinates_[j] * product[k]; }
+            const double factor = scale * coordinates_[j];
+            for (size_t k = 0; k < n_; ++k) { basis_(j, k) += factor * direction_[k]; }
         }
         active_[count_] = constraint;
         ++count_;
@@ -275,6 +274,7 @@ private:
     Numbers start_ = Numbers(n_);                           // y0
     Numbers point_ = Numbers(n_);                           // y
     Numbers coordinates_ = Numbers(n_);                     // in the basis
+    Numbers direction_ = Numbers(n_);                       // of the last move
     Numbers rates_ = Numbers(n_);           // at which the multipliers decrease, per increase of that of the entering constraint
     std::vector<ActiveConstraint> active_;  // (n,), of which the first `count_` count
     size_t count_ = 0;

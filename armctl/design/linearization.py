@@ -18,6 +18,7 @@ from armctl.design.state_space import StateSpace, linear_controller
 from armctl.mjmodel.dc_motor import current_state, remove_bristles
 from armctl.mjmodel.sensor_timing import SensorTiming
 from armctl.robot.arm import Arm, check_arm
+from armctl.sim.disturbances import encoder_steps
 from armctl.sim.drivetrain import drivetrain_of, motors_of
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
@@ -98,8 +99,9 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
     Args:
         controller: A controller or its name. Its own memory does not change if it can be copied.
         q: (n,) rad, the configuration.
-        plant: How the simulated arm differs from the model; by default it does not. Its noise, pushes, dry friction, gaps and
-            the steps of encoders have no effect; jitter and the intervals of sensors count as the mean of their delays.
+        plant: How the simulated arm differs from the model; by default it does not. Its pushes, dry friction and gaps have no
+            effect, its sensors' noise and steps one on `Loop.chatter` only; jitter and the intervals of sensors count as the
+            mean of their delays.
         delay: s of delay between controller and motors besides that of the plant; a whole number of control periods.
 
     Returns:
@@ -199,6 +201,7 @@ class Linearizer:
             _position=np.hstack([linear.position, np.zeros((arm.n, added))]),
             _law=linear_controller(arm, controller, q, self.dt, self.plant.continuous),
             _tip_jacobian=arm.jacobian(q)[:3],
+            _noise=_sensor_noise(arm, self.plant),
         )
 
     def _rest_at(self, q: Array) -> Array:
@@ -256,6 +259,21 @@ class Linearizer:
             motors[owners, extra] = 1.0
             motors[n + owners, extra + len(extra)] = 1.0
         return links, motors
+
+
+def _sensor_noise(arm: Arm, plant: Plant) -> Array:
+    """(3, n) standard deviations: of positions that velocities are differenced from, of other positions, and of velocities."""
+    steps = encoder_steps(plant, arm.units) / math.sqrt(12)
+    noise = np.full(arm.n, plant.encoder_noise)
+    from_steps = plant.differences_positions
+    from_noise = plant.velocity_noise is None
+    return np.array(
+        [
+            np.hypot(steps * from_steps, noise * from_noise),
+            np.hypot(steps * (not from_steps), noise * (not from_noise)),
+            np.full(arm.n, plant.velocity_noise or 0.0),
+        ]
+    )
 
 
 def _jittered(arm: LinearArm, jitter: int) -> LinearArm:

@@ -6,14 +6,14 @@ import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.plotting import COLORS, finish_figure
-from armctl.core.validation import Array, IntArray, integer, vector
+from armctl.core.validation import Array, IntArray, integer, number, vector
 from armctl.design.stability import (
     CoarseMargins,
     LoopMargins,
@@ -31,8 +31,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_DELAY_TICKS = 200
+# Below it, a vibration takes more than three periods to fall to a tenth.
+MIN_DAMPING_RATIO = 0.1
+# A mode counts if a step of torque on a joint makes that joint ring with this share of its displacement: what rings less, as
+# modes far above the bandwidth do, is not seen in the motion. In simulations of elastic joints, ten swings of more than 2 % of
+# the displacement follow from modes that count with a damping ratio below the one above.
+_MIN_RINGING_SHARE = 0.05
+_STEP_LEVELS = 12  # of the step response, whose samples lie twice as far apart in each
+_STEPS_PER_LEVEL = 16
 _SHOWN_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
 _BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
+
+
+class Mode(NamedTuple):
+    """A vibration of a closed loop."""
+
+    damping_ratio: float
+    frequency: float  # rad/s, with its damping
+
+    def __str__(self) -> str:
+        return f"{self.frequency / (2 * np.pi):.3g} Hz with a damping ratio of {self.damping_ratio:.2g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +81,7 @@ class Loop:
     _position: Array
     _law: StateSpace
     _tip_jacobian: Array
+    _noise: Array  # (3, n) standard deviations: see `sensor_noise`
 
     @property
     def n(self) -> int:
@@ -132,17 +151,108 @@ class Loop:
         """The margins without the gain margin, which takes longest to compute and is infinite here."""
         return robustness(self.system, self.dt)
 
+    @cached_property
+    def _poles(self) -> ComplexArray:
+        """Of the closed loop."""
+        return np.linalg.eigvals(self.A - self.B @ self.C).astype(np.complex128)
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the closed loop is stable."""
+        return bool(np.abs(self._poles).max() < 1.0)
+
     def modes(self) -> Array:
         """The vibrations of the closed loop.
 
         Returns:
             (k, 2) frequency, rad/s, with its damping, and damping ratio of each; the least damped one first.
         """
-        poles = np.linalg.eigvals(self.A - self.B @ self.C)
-        poles = poles[poles.imag > 0.0]
-        rates = np.log(poles) / self.dt
-        modes = np.column_stack([rates.imag, -rates.real / np.abs(rates)])
-        return modes[modes[:, 1].argsort()]
+        return _by_damping(self._poles, self.dt)
+
+    def vibrations(self) -> Array:
+        """Those modes of the closed loop that a load on a joint excites and that move the joint.
+
+        A mode counts if it rings with at least 5 % of the displacement after a step of torque on some joint.
+
+        Returns:
+            (k, 2) frequency, rad/s, with its damping, and damping ratio of each; the least damped one first. A damping ratio
+            below 0.1 is a vibration that one sees.
+        """
+        from scipy.linalg import eig
+
+        closed = self.A - self.B @ self.C
+        push = np.pad(self._push, ((0, len(closed) - len(self._push)), (0, 0)))
+        position = np.pad(self._position, ((0, 0), (0, len(closed) - self._position.shape[1])))
+        poles, left, right = eig(closed, left=True, right=True)  # type: ignore[misc]
+        # The part of a mode in the step response of each joint: modal analysis, as in Kailath, Linear Systems (1980), 1.2.
+        is_mode = poles.imag > 0.0
+        left = left[:, is_mode].conj()
+        right = right[:, is_mode]
+        norms = (left * right).sum(axis=0) * (1 - poles[is_mode])
+        ringing = np.abs((position @ right).T * (push.T @ left).T / norms[:, None])
+        share = (2 * ringing / _largest_displacement(closed, push, position)).max(axis=1)
+        return _by_damping(poles[is_mode][share >= _MIN_RINGING_SHARE], self.dt)
+
+    def least_damped(self) -> Mode:
+        """The first one of `vibrations`; its damping ratio is infinite if there is none, and 0 if the loop is unstable."""
+        if not self.is_stable:
+            return Mode(0.0, np.nan)
+        modes = self.vibrations()
+        return Mode(float(modes[0, 1]), float(modes[0, 0])) if len(modes) else Mode(np.inf, np.nan)
+
+    def chatter(self, encoder_noise: float | None = None) -> Array:
+        """The torque noise that the sensors of the plant cause: what `Report.chatter_nm` is of a run.
+
+        The step of an encoder counts as white noise (step^2 / 12; Widrow, Kollar, Quantization Noise, 2008). It is that while
+        the speed varies: simulated chatter is within a third of this. At constant speed its steps are periodic, and the
+        chatter is down to a third. At rest it is none within a step, or up to three times as much between two steps.
+
+        Args:
+            encoder_noise: rad, of an encoder instead of the plant's sensors, with differenced velocities.
+
+        Returns:
+            (n,) N m, root mean square difference of each torque from the mean of its two neighbours in time; infinite if the
+            closed loop is unstable.
+
+        Raises:
+            InputError: The noise is negative or not finite.
+        """
+        from scipy.linalg import solve_discrete_lyapunov
+
+        n = self.n
+        noise = self._noise
+        if encoder_noise is not None:
+            noise = np.outer([number("encoder_noise", encoder_noise, 0.0), 0.0, 0.0], np.ones(n))
+        if not noise.any():
+            return np.zeros(n)
+        if not self.is_stable:
+            return np.full(n, np.inf)
+        differenced, position, velocity = map(np.diag, noise)
+        nothing = np.zeros((n, n))
+        signals = len(self._arm.C)
+        added = np.zeros((signals, 3 * n))  # of the measurements, by the noise of this tick
+        added[: 2 * n] = np.block([[differenced, position, nothing], [differenced / self.dt, nothing, velocity]])
+        before = np.zeros((signals, n))
+        before[n : 2 * n] = -differenced / self.dt
+        # The states are those of the loop, with the noise of the last tick. Torque acts on the arm, or on the line of delays.
+        system = self.system
+        moving = len(self._arm.A)
+        memory = moving + len(self._law.A)
+        by_torque = np.zeros((len(system.A), n))
+        by_torque[:moving] = 0.0 if self.delay else self._arm.B
+        by_torque[memory : memory + n] = np.eye(n) if self.delay else 0.0
+        by_measurement = by_torque @ self._law.D
+        by_measurement[moving:memory] += self._law.B
+        A = np.block([[system.A - system.B @ system.C, by_measurement @ before], [np.zeros((n, len(system.A) + n))]])
+        B = np.vstack([by_measurement @ added, np.eye(n, 3 * n)])
+        rest = np.zeros((n, len(system.A) - memory))
+        C = np.hstack([self._law.D @ self._arm.C, self._law.C, rest, self._law.D @ before])
+        D = self._law.D @ added
+        covariance = solve_discrete_lyapunov(A, B @ B.T)
+        with_state = A @ covariance @ C.T + B @ D.T
+        of_lags = [C @ covariance @ C.T + D @ D.T, C @ with_state, C @ A @ with_state]
+        variance = np.array([1.5, -2.0, 0.5]) @ [lag.diagonal() for lag in of_lags]
+        return np.sqrt(np.maximum(variance, 0.0))
 
     def coarse_margins(self) -> CoarseMargins:
         """The margins of single eigenvalues and joints, accurate to 1 % in a fraction of the time."""
@@ -268,6 +378,26 @@ class Loop:
         if len(w) and not (w.min() > 0.0 and w.max() <= np.pi / self.dt * (1 + 1e-9)):
             raise InputError(f"w: expected frequencies in (0, {np.pi / self.dt:g}] rad/s, got {w.min():g} to {w.max():g}")
         return np.exp(1j * w * self.dt)
+
+
+def _by_damping(poles: ComplexArray, dt: float) -> Array:
+    """(k, 2) frequency and damping ratio of the poles with a positive imaginary part, the least damped one first."""
+    rates = np.log(poles[poles.imag > 0.0]) / dt
+    modes = np.column_stack([rates.imag, -rates.real / np.abs(rates)])
+    return modes[modes[:, 1].argsort()]
+
+
+def _largest_displacement(A: Array, push: Array, position: Array) -> Array:
+    """(n,) the largest displacement of each joint after a step of torque on it."""
+    x = np.zeros_like(push)
+    largest = np.full(push.shape[1], np.finfo(float).tiny)
+    for _ in range(_STEP_LEVELS):
+        for _ in range(_STEPS_PER_LEVEL):
+            x = A @ x + push
+            largest = np.maximum(largest, np.abs((position * x.T).sum(axis=1)))
+        push = A @ push + push
+        A = A @ A
+    return largest
 
 
 def draw_loop(figure: Figure, loop: Loop) -> None:

@@ -15,7 +15,7 @@ from armctl.core.limits import smallest_configuration
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, frozen, integer, matrix, shown
 from armctl.design.linearization import Linearizer
-from armctl.design.loop import Loop
+from armctl.design.loop import MIN_DAMPING_RATIO, Loop, Mode
 from armctl.design.stability import CoarseMargins, LoopMargins
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.move import read_controller
@@ -37,15 +37,18 @@ class WorstMargin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Margins(Verdict):
-    """The worst margins of an arm with a controller, over configurations and plants. True if the loop is stable in all of them.
+    """The worst margins of an arm with a controller, over configurations and plants. True if no loop is unstable or vibrates.
 
     Attributes:
-        ok: Whether the closed loop is stable everywhere.
+        ok: Whether the closed loop is stable everywhere, and no vibration has a damping ratio below 0.1.
         dt: s, the control period of the plant with the least delay margin.
         delay: The smallest delay margin, s.
         gain: The smallest gain margin, a factor above 1.
         phase: The smallest phase margin, rad.
         peak_sensitivity: The largest Ms.
+        damping: The smallest damping ratio of `Loop.vibrations`; infinite if there are none, 0 of an unstable loop.
+        frequency: rad/s, of that vibration; NaN if there is none.
+        chatter: N m (N), the largest torque noise that the plant's sensors cause, over all joints: see `Loop.chatter`.
         loops: How many loops were examined, with the two worst ones of the searches.
         reason: The reason if it is not ok; empty if it is.
     """
@@ -58,16 +61,21 @@ class Margins(Verdict):
     gain: WorstMargin
     phase: WorstMargin
     peak_sensitivity: WorstMargin
+    damping: WorstMargin
+    frequency: float
+    chatter: WorstMargin
     loops: int
     reason: str
 
     def __str__(self) -> str:
         if not self.ok:
             return f"{self.controller} on {self.robot}: {self.reason}"
+        damping = f", least damping ratio {self.damping.value:.2g}" if isfinite(self.damping.value) else ""
+        chatter = f", torque noise {self.chatter.value:.2g} N m" if self.chatter.value else ""
         return (
             f"{self.controller} on {self.robot}, worst of {self.loops} loops: delay margin {1e3 * self.delay.value:.3g} ms, "
             f"gain margin {self.gain.value:.3g}, phase margin {degrees(self.phase.value):.3g} deg, "
-            f"Ms {self.peak_sensitivity.value:.3g}"
+            f"Ms {self.peak_sensitivity.value:.3g}{damping}{chatter}"
         )
 
     def to_dict(self) -> dict[str, object]:
@@ -79,8 +87,9 @@ class Margins(Verdict):
             "controller": self.controller,
             "dt": self.dt,
             "loops": self.loops,
+            "frequency": self.frequency if isfinite(self.frequency) else None,
         }
-        for name in ("delay", "gain", "phase", "peak_sensitivity"):
+        for name in ("delay", "gain", "phase", "peak_sensitivity", "damping", "chatter"):
             worst: WorstMargin = getattr(self, name)
             value = worst.value if isfinite(worst.value) else None
             figures[name] = {"value": value, "q": worst.q.tolist(), "plant": worst.plant}
@@ -171,16 +180,11 @@ def _dimensions(value: object) -> int:
 
 
 def _worst(arm: Arm, law: Controller, loops: list[Loop], found: list[LoopMargins]) -> Margins:
-    unstable = [(loop, each) for loop, each in zip(loops, found, strict=True) if not each]
-    reason = ""
-    if unstable:
-        loop, first = unstable[0]
-        reason = f"{first.reason} at q = {loop.q.round(3).tolist()!s:.120}, plant {loop.plant:.80}"
-        if len(unstable) > 1:
-            reason += f", and in {len(unstable) - 1} more of {len(loops)} loops"
+    least = [loop.least_damped() for loop in loops]
+    ratios = [each.damping_ratio for each in least]
     delays = [each.delay_margin for each in found]
     return Margins(
-        ok=not unstable,
+        ok=min(ratios) >= MIN_DAMPING_RATIO,
         robot=arm.name,
         controller=controller_name(law),
         dt=loops[int(np.argmin(delays))].dt,
@@ -188,9 +192,25 @@ def _worst(arm: Arm, law: Controller, loops: list[Loop], found: list[LoopMargins
         gain=_worst_of(loops, [each.gain_margin for each in found]),
         phase=_worst_of(loops, [each.phase_margin for each in found]),
         peak_sensitivity=_worst_of(loops, [each.peak_sensitivity for each in found], np.argmax),
+        damping=_worst_of(loops, ratios),
+        frequency=least[int(np.argmin(ratios))].frequency,
+        chatter=_worst_of(loops, [float(np.sqrt(np.mean(loop.chatter() ** 2))) for loop in loops], np.argmax),
         loops=len(loops),
-        reason=reason,
+        reason=_reason(loops, found, least),
     )
+
+
+def _reason(loops: list[Loop], found: list[LoopMargins], least: list[Mode]) -> str:
+    """Why loops are not ok: the first unstable one, or else the one that vibrates most."""
+    bad = [(loop, each.reason) for loop, each in zip(loops, found, strict=True) if not each]
+    if not bad:
+        vibrating = sorted((mode, i) for i, mode in enumerate(least) if mode.damping_ratio < MIN_DAMPING_RATIO)
+        bad = [(loops[i], f"the closed loop vibrates, at {mode} (below {MIN_DAMPING_RATIO:g}),") for mode, i in vibrating]
+    if not bad:
+        return ""
+    loop, reason = bad[0]
+    reason += f" at q = {loop.q.round(3).tolist()!s:.120}, plant {loop.plant:.80}"
+    return reason + (f", and in {len(bad) - 1} more of {len(loops)} loops" if len(bad) > 1 else "")
 
 
 def _worst_of(loops: list[Loop], values: list[float], worst: Callable[[list[float]], np.intp] = np.argmin) -> WorstMargin:

@@ -124,13 +124,10 @@ class ServoSimulation:
         return state
 
     def _controls(self, log: Log, delay: float) -> Array:
-        """(steps, nctrl), delayed commands: means over steps, which change continuously with the delay, as a fit needs.
-
-        A step ends with the effect of the command at its middle, half a step early.
-        """
+        """(steps, nctrl), delayed commands: means over steps, which change continuously with the delay, as a fit needs."""
         controls = np.tile(self.arm.home_ctrl, ((len(log) - 1) * self._steps, 1))
         step = log.dt / self._steps
-        delay = delay + 0.5 * step
+        delay = delay + 0.5 * step  # positions of semi-implicit steps are half a step early
         before = delay + log.dt
         times = np.concatenate([[-before], np.arange(len(log)) * log.dt])
         edges = np.arange(len(controls) + 1) * step - delay

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import product
 
 import numpy as np
@@ -16,17 +16,14 @@ from armctl.control.observer_gains import observer_gains
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, IntArray, frozen, number, shown
-from armctl.design.frequency_response import standstill
 from armctl.design.linearization import Linearizer
-from armctl.design.loop import Loop, coarse_margins_with, coarse_plant
+from armctl.design.loop import MIN_DAMPING_RATIO, Loop, Mode, coarse_margins_with, coarse_plant
 from armctl.design.margins import configurations, judged_loops
 from armctl.design.stability import CoarseMargins
 from armctl.design.state_space import ComplexArray, linear_controller
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import ENCODER_NOISE_RAD, NOMINAL, Plant, read_plant
-from armctl.sim.simulate import simulate
 
-_NOISE_SECONDS = 0.3
 _COMPLIANCE_FREQUENCY = 2 * np.pi  # rad/s
 # Configurations of the design, of those for default gains: the extreme ones, and random ones for laws without inertia matrix.
 _DESIGN_POSES = 10
@@ -60,12 +57,21 @@ class LoopFigures:
     peak_sensitivity: float  # Ms
     chatter: float  # N m (N), torque noise at rest with an encoder of 1e-5 rad that velocities are differenced from
     compliance: float  # m/N, of the tip at 1 Hz in the worst direction: the error that slow unknown forces and payloads cause
+    damping_ratio: float  # of the least damped vibration; infinite if there is none. Below 0.1, one sees it
+    frequency: float  # rad/s, of that vibration; NaN if there is none
 
     def __str__(self) -> str:
+        vibrates = ""
+        if self.damping_ratio < MIN_DAMPING_RATIO:
+            vibrates = f"; vibrates, at {Mode(self.damping_ratio, self.frequency)}"
         return (
             f"delay margin {1e3 * self.delay_margin:.3g} ms, Ms {self.peak_sensitivity:.3g}, "
-            f"torque noise {self.chatter:.2g} N m, compliance at 1 Hz {1e6 * self.compliance:.3g} um/N"
+            f"torque noise {self.chatter:.2g} N m, compliance at 1 Hz {1e6 * self.compliance:.3g} um/N{vibrates}"
         )
+
+    def to_dict(self) -> dict[str, float | None]:
+        """All figures for JSON; one that is not finite is None."""
+        return {name: value if np.isfinite(value) else None for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,8 +113,8 @@ class Tuning(Verdict):
             "reason": self.reason,
             "active": list(self.active),
             "gains": {name: np.asarray(value).tolist() for name, value in self.gains.items()},
-            "before": asdict(self.before),
-            "after": asdict(self.after),
+            "before": self.before.to_dict(),
+            "after": self.after.to_dict(),
         }
 
 
@@ -298,7 +304,6 @@ class _Design:
     def __init__(self, linearizers: Sequence[Linearizer], configurations: Array, bounds: _Bounds):
         self._arm = linearizers[0].arm
         self._linearizers = {str(linearizer.plant): linearizer for linearizer in linearizers}
-        self._first = linearizers[0]
         self._bounds = bounds
         self._bounds_per_case = 2 * self._arm.n
         self.reserve = _RESERVES[0]
@@ -395,7 +400,8 @@ class _Design:
                 compliance = case.with_controller(controller).joint_compliance([_COMPLIANCE_FREQUENCY])[0]
                 cost.append(np.abs(compliance * self._arm.limits.tau_max) ** 2)
             if np.isfinite(self._bounds.chatter):
-                left[-1] = np.log(self._bounds.chatter / (self.reserve * torque_noise(self._first, controller)))
+                noise = torque_noise(self._cases[0].with_controller(controller))
+                left[-1] = np.log(self._bounds.chatter / (self.reserve * noise))
         except ModelError:  # gains so high that the torque of the impulses has no meaning
             return np.full_like(left, -np.inf), np.inf
         return left, 0.5 * float(np.log(np.mean(cost)))
@@ -443,19 +449,17 @@ class _Judge:
 
     def figures(self, controller: Controller, loops: Sequence[Loop]) -> LoopFigures:
         found = [loop.robustness() for loop in loops]
+        vibration = min(loop.least_damped() for loop in loops)
         return LoopFigures(
             delay_margin=min(each.delay_margin for each in found),
             peak_sensitivity=max(each.peak_sensitivity for each in found),
-            chatter=torque_noise(self.linearizers[0], controller),
+            chatter=torque_noise(loops[0]),
             compliance=max(float(loop.compliance([_COMPLIANCE_FREQUENCY])[0]) for loop in loops),
+            damping_ratio=vibration.damping_ratio,
+            frequency=vibration.frequency,
         )
 
 
-def torque_noise(linearizer: Linearizer, controller: Controller) -> float:
-    """N m (N), the chatter of a controller at rest at home with an encoder of 1e-5 rad."""
-    arm = linearizer.arm
-    plant = replace(linearizer.plant, encoder_noise=ENCODER_NOISE_RAD, velocity_noise=None)
-    home = arm.limits.clamp(arm.home)
-    tau = simulate(arm, controller, standstill(arm, home, _NOISE_SECONDS), plant, dwell=0.0).tau
-    tau = tau[len(tau) // 3 :]
-    return float(np.sqrt(np.mean((tau[1:-1] - 0.5 * (tau[:-2] + tau[2:])) ** 2)))
+def torque_noise(loop: Loop) -> float:
+    """N m (N), the chatter at rest with an encoder of 1e-5 rad."""
+    return float(np.sqrt(np.mean(loop.chatter(ENCODER_NOISE_RAD) ** 2)))

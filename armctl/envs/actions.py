@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,11 +10,11 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.limits import Limits
-from armctl.core.validation import choice
 from armctl.robot.arm import Arm
 
 _MIN_JOINTS_FOR_POSES = 6
 _TURN = 2.0 * np.pi  # rad (m), to both sides of home
+_MAX_SMOOTHING_S = 10.0
 _STOP_MARGIN = 1e-3  # of the range of a joint
 
 
@@ -25,6 +26,7 @@ class ActionMode:
     joint_scale: float = 0.5  # fraction of the way at full speed that a full action moves the target of a joint in a step
     position_scale: float = 0.0  # m, of a full action
     rotation_scale: float = 0.0  # rad, of a full action
+    is_smooth: bool = False  # whether the reference keeps the jerk limits too, which delays it
 
     def size(self, arm: Arm) -> int:
         """The numbers of an action: one a joint, or 6 of the tip (3 where the arm has fewer than 6 joints)."""
@@ -40,6 +42,8 @@ ACTION_MODES = {
     "cartesian_delta": ActionMode(_core.ActionMode.cartesian_delta, position_scale=0.025, rotation_scale=0.1),
     "cartesian_pose": ActionMode(_core.ActionMode.cartesian_pose, position_scale=0.5, rotation_scale=1.0),
 }
+for _name in ("joint_delta", "cartesian_delta"):
+    ACTION_MODES[f"{_name}_smooth"] = replace(ACTION_MODES[_name], is_smooth=True)
 
 
 def target_limits(arm: Arm) -> Limits:
@@ -58,6 +62,9 @@ def target_limits(arm: Arm) -> Limits:
     return replace(limits, q_min=low + margin, q_max=high - margin)
 
 
-def read_mode(action: object) -> ActionMode:
-    """The mode of a name; InputError if there is none."""
-    return ACTION_MODES[choice("action", action, ACTION_MODES)]
+def smoothing_ticks(arm: Arm) -> int:
+    """Over how many control periods a reference that keeps all other limits is averaged to keep those of jerk."""
+    seconds = float((2.0 * arm.limits.a_max / arm.limits.j_max).max())  # within them, the acceleration can be reversed
+    if seconds > _MAX_SMOOTHING_S:
+        raise InputError(f"j_max: smooth actions would be averaged over {seconds:.3g} s; the most is {_MAX_SMOOTHING_S:g} s")
+    return max(1, math.ceil(seconds / arm.dt))

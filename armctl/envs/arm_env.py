@@ -18,6 +18,7 @@ class ArmEnv(gymnasium.Env):
 
     Attributes:
         batch: The episode, a batch of one.
+        screen: What draws pictures; None without a render mode.
         compute_reward: Only where observations have goals: a function of achieved goals and desired goals, (..., 3) m each, and
             the information of the step or of each step, that returns (...,) rewards for hindsight replay.
         metadata: The rendering modes, in the form of Gymnasium.
@@ -64,9 +65,7 @@ class ArmEnv(gymnasium.Env):
         if self._has_goals:
             self.compute_reward = self.batch.reward
         self.render_mode = render_mode
-        self._screen: Screen | None = None
-        if render_mode is not None:
-            self._screen = Screen(self.batch, render_mode, width, height)
+        self.screen = None if render_mode is None else Screen(self.batch, render_mode, width, height)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode.
@@ -118,23 +117,18 @@ class ArmEnv(gymnasium.Env):
         Returns:
             (height, width, 3) if the mode is "rgb_array", else None.
         """
-        return self._screen.picture() if self._screen is not None and self.render_mode == "rgb_array" else None
-
-    @property
-    def screen(self) -> Screen | None:
-        """What draws pictures; None without a render mode."""
-        return self._screen
+        return self.screen.picture() if self.screen is not None and self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         """Closes the page or the renderer."""
         self.batch.rows.close()
-        if self._screen is not None:
-            self._screen.close()
-            self._screen = None
+        if self.screen is not None:
+            self.screen.close()
+            self.screen = None
 
     def _show(self) -> None:
-        if self._screen is not None and self.render_mode == "human":
-            self._screen.show()
+        if self.screen is not None and self.render_mode == "human":
+            self.screen.show()
 
     def _formed(self, observation: Any) -> Any:
         return self.batch.observer.with_goals(observation) if self._has_goals else observation

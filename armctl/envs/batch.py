@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armctl.core.errors import InputError
 from armctl.core.pose import matrix_from_quat
 from armctl.core.validation import Array, BoolArray, as_array, choice, flag, integer, shown
-from armctl.envs.actions import read_mode
+from armctl.envs.actions import ACTION_MODES
 from armctl.envs.randomization import Randomization
 from armctl.envs.rows import Rows
 from armctl.envs.tasks import TASKS
@@ -116,7 +116,7 @@ class Batch:
         load_options: Mapping[str, Any] | None = None,
     ):
         """Episodes that wait for `reset`; the arguments are those of `ArmVectorEnv`."""
-        mode = read_mode(action)
+        mode = ACTION_MODES[choice("action", action, ACTION_MODES)]
         task_class = TASKS[choice("task", task, TASKS)]
         needs_contacts = bool(task_class.object or task_class.obstacle)
         has_contacts = needs_contacts if contacts is None else flag("contacts", contacts)

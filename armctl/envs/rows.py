@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from armctl.control import State, controller_by_name
 from armctl.control.interface import has_compiled_law
 from armctl.core.log import SimulationError
 from armctl.core.validation import Array, IntArray
-from armctl.envs.actions import ActionMode, target_limits
+from armctl.envs.actions import ActionMode, smoothing_ticks, target_limits
 from armctl.envs.randomization import ObjectFactors, Randomization
 from armctl.envs.simulated_arms import SimulatedArms
 from armctl.envs.tasks.interface import Episode, Task
@@ -154,8 +153,10 @@ class Rows:
     def _core_rows(self, law: _core.Law, max_delay: int) -> _core.EnvironmentRows:
         """The compiled steps of all copies, which work on the arrays of this object."""
         arm = self.arm
+        mode = self.mode
         grip = self._grip
         objects = self.simulated.object_addresses
+        home = arm.fk(arm.home)
         return _core.EnvironmentRows(
             mujoco_api(),
             arm=arm.core_model.for_period(arm.dt, False),
@@ -183,22 +184,15 @@ class Rows:
             object=self.object,
             touched=self.touched,
             noise=self.signals.noise if len(self.signals.noise) else None,
-            **self._action_options(),
+            mode=mode.kind.value,
+            size=mode.size(arm),
+            ticks=self.ticks,
+            dt=arm.dt,
+            joint_scale=mode.joint_scale * self.ticks * arm.dt,
+            position_scale=mode.position_scale,
+            rotation_scale=mode.rotation_scale,
+            smoothing=smoothing_ticks(arm) if mode.is_smooth else 1,
+            approach_rate=min(_APPROACH_RATE, _MAX_SHARE_PER_TICK / arm.dt),
+            tip_damping=_IK_DAMPING,
+            home_tip=np.concatenate([home.position, home.rotation.ravel()]),
         )
-
-    def _action_options(self) -> dict[str, Any]:
-        arm = self.arm
-        mode = self.mode
-        home = arm.fk(arm.home)
-        return {
-            "mode": mode.kind.value,
-            "size": mode.size(arm),
-            "ticks": self.ticks,
-            "dt": arm.dt,
-            "joint_scale": mode.joint_scale * self.ticks * arm.dt,
-            "position_scale": mode.position_scale,
-            "rotation_scale": mode.rotation_scale,
-            "approach_rate": min(_APPROACH_RATE, _MAX_SHARE_PER_TICK / arm.dt),
-            "tip_damping": _IK_DAMPING,
-            "home_tip": np.concatenate([home.position, home.rotation.ravel()]),
-        }

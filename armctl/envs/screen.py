@@ -17,8 +17,6 @@ RENDER_MODES = ("rgb_array", "human")
 
 
 class SceneState(NamedTuple):
-    """Where everything in a scene is."""
-
     qpos: Array  # (nq,) positions
     mocap_pos: Array  # (nmocap, 3) m, of the marker of the goal and of the obstacle
 

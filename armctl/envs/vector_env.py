@@ -54,7 +54,8 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         Args:
             robot: What `armctl.load` takes, or, for Reach and Track, also an arm.
             task: "Reach", "ReachPast", "Track", "Push" or "PickPlace".
-            action: "torque", "joint_delta", "joint_target", "cartesian_delta" or "cartesian_pose".
+            action: "torque", "joint_delta", "joint_target", "cartesian_delta" or "cartesian_pose"; "joint_delta_smooth" and
+                "cartesian_delta_smooth" also keep the jerk limits.
             num_envs: How many.
             threads: On how many threads; the result is the same.
             controller: The name of a controller, for all actions but torques.

@@ -13,7 +13,7 @@ from armctl._core import Constraint
 from armctl.collision.checkers import collision_checker
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
-from armctl.core.validation import BoolArray, IntArray, TextArray, flag, frozen, integer
+from armctl.core.validation import flag, frozen, integer
 from armctl.ik.closed_form_solutions import Solutions, closed_form_solutions
 from armctl.ik.numerical_solutions import completed_solutions, numerical_solutions
 from armctl.ik.problem import (
@@ -125,11 +125,11 @@ def solve_ik_all(
         count = limit
         found = found.select(np.arange(count))
     return IkBatch(
-        ok=_all_solved(count),
+        ok=_column(True, count),
         q=frozen(found.q),
         position_error=frozen(found.position_errors),
         orientation_error=frozen(found.orientation_errors),
-        reason=_no_reasons(count),
+        reason=_column("", count),
         iterations=_column(found.steps, count),
         starts=_column(found.starts, count),
         branch=tuple([chain.branch_names[number] for number in found.branches.tolist()]),
@@ -137,22 +137,10 @@ def solve_ik_all(
     )
 
 
-@lru_cache(maxsize=1024)
-def _column(value: int, count: int) -> IntArray:
+@lru_cache(maxsize=1024, typed=True)
+def _column(value: bool | int | str, count: int) -> Any:
     """(count,) of one value, read-only: calls with the same numbers share it."""
-    return frozen(np.full(count, value))
-
-
-@lru_cache(maxsize=1024)
-def _all_solved(count: int) -> BoolArray:
-    """(count,) of True, read-only."""
-    return frozen(np.ones(count, np.bool_))
-
-
-@lru_cache(maxsize=1024)
-def _no_reasons(count: int) -> TextArray:
-    """(count,) empty texts, read-only."""
-    return frozen(np.full(count, "", object))
+    return frozen(np.full(count, value, object if isinstance(value, str) else None))
 
 
 def _inexact_solutions(problem: Problem, limit: int) -> Solutions:

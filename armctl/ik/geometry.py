@@ -95,7 +95,23 @@ def closed_form_of(hinges: Hinges) -> ClosedForm | None:
             rank = (deviation <= EXACT_TOLERANCE, pair.kind != AxesRelation.NEITHER, dexterity[held])
             if rank[2] > MIN_DEXTERITY and rank > best_rank:
                 best_rank = rank
-                best = _closed_form(hinges.points, held, first, special, others, relation, pair_first, pair, deviation)
+                common = points.copy()
+                if relation.kind == AxesRelation.MEET:
+                    common[special] = relation.point
+                if pair.kind == AxesRelation.MEET:
+                    common[others[pair_first : pair_first + 2]] = pair.point
+                best = ClosedForm(
+                    points=frozen(common),
+                    held=held,
+                    special=tuple(special),
+                    others=tuple(others),
+                    kind=relation.kind,
+                    pair_kind=pair.kind,
+                    pair_first=pair_first,
+                    deviation=deviation,
+                    is_exact=deviation <= EXACT_TOLERANCE,
+                    branch_names=branch_names(relation.kind, first, pair.kind, pair_first),
+                )
     return best
 
 
@@ -108,36 +124,6 @@ def _best_pair(axes: Array, points: Array, others: list[int]) -> tuple[int, Rela
             pairs.append((k, axes_of(axes[joints], points[joints])))
     found = [pair for pair in pairs if pair[1].kind != AxesRelation.NEITHER]
     return min(found, key=lambda pair: pair[1].deviation) if found else (0, Relation(AxesRelation.NEITHER, np.zeros(3), 0.0))
-
-
-def _closed_form(
-    points: Array,
-    held: int | None,
-    first: int,
-    special: list[int],
-    others: list[int],
-    relation: Relation,
-    pair_first: int,
-    pair: Relation,
-    deviation: float,
-) -> ClosedForm:
-    points = points.copy()
-    if relation.kind == AxesRelation.MEET:
-        points[special] = relation.point
-    if pair.kind == AxesRelation.MEET:
-        points[others[pair_first : pair_first + 2]] = pair.point
-    return ClosedForm(
-        points=frozen(points),
-        held=held,
-        special=tuple(special),
-        others=tuple(others),
-        kind=relation.kind,
-        pair_kind=pair.kind,
-        pair_first=pair_first,
-        deviation=deviation,
-        is_exact=deviation <= EXACT_TOLERANCE,
-        branch_names=branch_names(relation.kind, first, pair.kind, pair_first),
-    )
 
 
 def branch_names(kind: AxesRelation, first: int, pair_kind: AxesRelation, pair_first: int) -> tuple[str | None, ...]:

@@ -45,7 +45,10 @@ def numerical_solutions(problem: Problem, limit: int) -> Solutions:
     first = lm.search(problem, 0, lm.LM_STARTS)
     starts = int(first.next_start[0])
     steps = int(first.iterations[0])
-    found = _sweep(problem, swept, first.q[0], limit) if swept else _isolated(problem, bound, first.q[0], limit)
+    if swept:
+        found = _sweep(problem, swept, first.q[0], limit)
+    else:
+        found = _find(problem, chain.to_units(first.q[:1]), bound or limit, is_first=True)
     q = _inside_limits(problem, found.q)
     position_error, orientation_error = problem.select(np.zeros(len(q), np.int64)).residuals(q)
     ok = (position_error <= problem.position_tolerance) & (orientation_error <= problem.orientation_tolerance)
@@ -87,12 +90,6 @@ def swept_joints(chain: IkChain, constraint: Constraint) -> tuple[int, ...]:
         return float(np.linalg.svd(jacobians[:, :, others], compute_uv=False)[:, rank - 1].mean())
 
     return max(itertools.combinations(range(n), n - rank), key=dexterity)
-
-
-def _isolated(problem: Problem, bound: int, begin: Array, limit: int) -> _Found:
-    """The solutions of an arm without surplus joints."""
-    chain = problem.chain
-    return _find(problem, chain.to_units(begin[None]), bound or limit, is_first=True)
 
 
 def _sweep(problem: Problem, swept: tuple[int, ...], begin: Array, limit: int) -> _Found:

@@ -254,7 +254,9 @@ def reachability(
     spacing = DEFAULT_SPACING_REACHES * chain.reach if spacing is None else number("spacing", spacing, 1e-6)
     default = DEFAULT_ORIENTATIONS if arm.n >= 6 else 0
     count = default if orientations is None else integer("orientations", orientations, 0, 100_000)
-    points = _grid(chain, spacing, region, _tip_planes(arm))
+    tips, _ = arm.fk_many(arm.limits.random(arm.home, PLANE_SAMPLES, np.random.default_rng(0)))
+    planes = np.where(np.ptp(tips, axis=0) <= MAX_PLANE_DEVIATION, tips[0], np.nan)
+    points = _grid(chain, spacing, region, planes)
     quaternions = even_orientations(count)
     workers = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
     rows = np.zeros((max(count, 1), 12))
@@ -295,16 +297,11 @@ def even_orientations(count: int) -> Array:
     return np.stack([outer * np.cos(beta), inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta)], axis=1)
 
 
-def _tip_planes(arm: Arm) -> Array:
-    """(3,) m the coordinates that the tip has in every configuration; NaN for those that change."""
-    tips, _ = arm.fk_many(arm.limits.random(arm.home, PLANE_SAMPLES, np.random.default_rng(0)))
-    return np.where(np.ptp(tips, axis=0) <= MAX_PLANE_DEVIATION, tips[0], np.nan)
-
-
 def _grid(chain: IkChain, spacing: float, region: Sequence[ArrayLike] | None, planes: Array) -> Array:
     """(N, 3) m the points of a cubic grid around the first joint, inside a box or the stretched arm's sphere.
 
-    Where the tip has a fixed coordinate in `planes` (3,), or the box contains no layer of the grid, there is one layer.
+    Where the tip has a fixed coordinate in `planes` (3,), NaN elsewhere, or the box contains no layer of the grid, there is one
+    layer.
     """
     centre = chain.base
     if region is None:

@@ -99,7 +99,11 @@ def solve_ik(
     if nearest is not False or avoid_collisions is not False:
         starts = read_start(arm, chain, q0)[None]
         problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
-        return _solve_with(problem, nearest, avoid_collisions, stay_near=q0 is not None)
+        contact_at = collision_checker(arm).at if flag("avoid_collisions", avoid_collisions) else None
+        candidates = _candidates(problem, stay_near=q0 is not None)
+        if flag("nearest", nearest):
+            candidates = itertools.chain(_nearest_candidates(problem), candidates)
+        return _first_solution(problem, candidates, contact_at)
     start = chain.home if q0 is None else chain.to_units(read_start(arm, chain, q0))
     q = start.copy()
     answer = chain.core.search_one(
@@ -141,15 +145,6 @@ def solve_ik(
         )
         q = lm.stay_near(problem, found)[0]
     return _first_solution(problem, iter([Candidate(q, answer.next_start, answer.steps)]), None)
-
-
-def _solve_with(problem: Problem, nearest: bool, avoid_collisions: bool, stay_near: bool) -> IkResult:
-    """The solution that meets further conditions."""
-    contact_at = collision_checker(problem.arm).at if flag("avoid_collisions", avoid_collisions) else None
-    candidates = _candidates(problem, stay_near)
-    if flag("nearest", nearest):
-        candidates = itertools.chain(_nearest_candidates(problem), candidates)
-    return _first_solution(problem, candidates, contact_at)
 
 
 def _first_solution(problem: Problem, candidates: Iterator[Candidate], contact_at: Callable[[Array], str] | None) -> IkResult:

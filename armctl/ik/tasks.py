@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import mink
 import numpy as np
 from mink.tasks import BaseTask
@@ -69,28 +67,21 @@ class TipTask(BaseTask):
         """Whether the step dq (n,) from the last objective brings the tip no nearer to a target that is out of reach."""
         return self._gain is not None and bool(abs(self._gain @ dq) < MIN_GAIN_REACHES)
 
-    def _error_model(self, q: Array) -> _ErrorModel:
-        """Half the squared error around q (n,)."""
-        chain = self._chain
-        size = self._squared_error.linearize(
-            self.target,
-            self.constraint,
-            POSITION_PRIORITY,
-            chain.to_units(q),
-            self._hessian,
-            self._gradient,
-            self._jacobian,
-        )
-        jacobian = self._jacobian[:3] if self.constraint == Constraint.POSITION else self._jacobian
-        if not chain.has_slides:
-            return _ErrorModel(size, self._hessian, self._gradient, jacobian)
-        unit = chain.unit
-        return _ErrorModel(size, self._hessian / np.outer(unit, unit), self._gradient / unit, jacobian / unit)
-
     def compute_qp_objective(self, configuration: mink.Configuration) -> mink.Objective:
         """The Hessian H (nv, nv) and gradient c (nv,) of the task's part of the program."""
         q = configuration.data.qpos[self._arm.qpos_adr]
-        size, hessian, descent, jacobian = self._error_model(q)
+        unit = self._chain.unit
+        hessian = self._hessian
+        descent = self._gradient
+        # Half the squared error: its root, Hessian, negative gradient, and the Jacobian of the error.
+        size = self._squared_error.linearize(
+            self.target, self.constraint, POSITION_PRIORITY, self._chain.to_units(q), hessian, descent, self._jacobian
+        )
+        jacobian = self._jacobian[:3] if self.constraint == Constraint.POSITION else self._jacobian
+        if self._chain.has_slides:
+            hessian = hessian / np.outer(unit, unit)
+            descent = descent / unit
+            jacobian = jacobian / unit
         eigenvalues, V = np.linalg.eigh(hessian)
         curvature = np.abs(eigenvalues)
         hessian = (V * curvature) @ V.T
@@ -105,7 +96,6 @@ class TipTask(BaseTask):
         share = self.posture_share * max(0.0, 1 - size / FAR_ERROR_REACHES)
         if share > 0 and redundant:
             flatness = np.maximum(0.0, 1 - curvature / FLAT_CURVATURE) ** 2
-            unit = self._chain.unit
             desired = share * (self._posture - q) / unit
             step = unit * null_step(self._jacobian[: len(jacobian)], desired, self.low / unit, self.high / unit)
             descent = descent + damping * (V * flatness) @ (step @ V)
@@ -116,15 +106,6 @@ class TipTask(BaseTask):
         H[self._arm.dof_adr, self._arm.dof_adr] += damping
         c[self._arm.dof_adr] = -descent
         return mink.Objective(H, c)
-
-
-class _ErrorModel(NamedTuple):
-    """Half the squared error: its root, Hessian, negative gradient, and the Jacobian of the error."""
-
-    size: float
-    hessian: Array
-    descent: Array
-    jacobian: Array
 
 
 def null_step(J: Array, desired: Array, low: Array, high: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import mujoco
@@ -76,6 +77,8 @@ class LinkDrive:
         self._passes_time = link.passes_time
         self._rest_speed = link.rest_speed
         self._tips = ReferenceTips()
+        # Takes each reading, what the robot was told then, (n,) rad each, and its state in words; it must not wait
+        self.observer: Callable[[Array, Array, str], None] | None = None
         self._stream: _Stream | None = None
         self._recorder: _LinkRecorder | None = None
         self._trajectory: tuple[TickReference, Trajectory] | None = None
@@ -290,6 +293,8 @@ class LinkDrive:
             self.failure = progress.stopped
         if self._stream is None and (progress.stopped or progress.fault) and len(readings.sent):
             self._end = readings.sent[-1]
+        if self.observer is not None and len(readings.sent):
+            self.observer(readings.q[-1], readings.sent[-1], self.fault or f"t = {self.data.time:.1f} s")
 
     def _lose(self, fault: str) -> None:
         self._stream = None

@@ -9,11 +9,12 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from armctl.control import State
+from armctl.core import hooks
 from armctl.core.errors import InputError, LinkError
 from armctl.core.log import Log
 from armctl.core.result import MoveResult
@@ -143,6 +144,22 @@ class Robot(Commands):
             LinkError: The robot cannot be recovered by a program, and what to do.
         """
         self._drive.recover()
+
+    def view(self) -> Any:
+        """Opens a page that shows every move: the robot as it measures itself, and a ghost where it was told to be.
+
+        The page commands nothing, and the robot does not wait for it. Call it before the first move: it takes seconds.
+
+        Returns:
+            The page, as `Simulation.viewer`: it has `url`, `wait` and `close`.
+
+        Raises:
+            NotInstalledError: viser or mjviser is missing.
+        """
+        assert hooks.open_viewer is not None
+        viewer = hooks.open_viewer(self.arm)
+        self._drive.observer = viewer.drawing_of_robot(self.link.name).show
+        return viewer
 
     def check(self, seconds: float = 10.0) -> LinkCheck:
         """Holds the position for a while, and measures how regularly rows are sent.

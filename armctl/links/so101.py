@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armctl.core.errors import InputError, LinkError, NotInstalledError
+from armctl.core.file_reading import read_bytes, reading, shown_path
 from armctl.core.validation import Array, IntArray, vector
 from armctl.links.envelope import Envelope, envelope_of
 from armctl.links.link import Link, Seen
@@ -44,6 +45,7 @@ _COUNTS = 4096  # per turn
 _STATUS_BITS = ("voltage", "angle sensor", "overheated", "overcurrent", "", "overload")
 
 _JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+_MAX_CALIBRATION_BYTES = 1_000_000
 _TRAVEL_TOLERANCE = 0.25  # of the model's range, by which the calibrated travel may differ
 _FULL_TURN_COUNTS = 4000  # a recorded travel of more is that of a joint without stops
 _BLOCKED_RAD = 0.25  # behind its goal for so long: a joint that is blocked
@@ -232,15 +234,12 @@ class SO101(Link):
 
 def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
     """The servos of the five joints, by a calibration file of LeRobot, compared with the model."""
-    try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
+    if not path.exists():
         raise InputError(
-            f"calibration: {path}: {error.strerror or error}; without one the zero of the joints is unknown: "
-            "run lerobot-calibrate"
-        ) from None
-    except ValueError:
-        raise InputError(f"calibration: {path} is no JSON file; lerobot-calibrate writes one") from None
+            f"calibration: {shown_path(path)} does not exist, so the zero of the joints is unknown; run lerobot-calibrate"
+        )
+    with reading(path, "no JSON file; lerobot-calibrate writes one"):
+        rows = json.loads(read_bytes(path, _MAX_CALIBRATION_BYTES))
     servos = []
     ranges = arm.limits.q_max - arm.limits.q_min
     for name, model_range in zip(_JOINTS, ranges.tolist(), strict=True):
@@ -249,10 +248,12 @@ def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
             low = int(row["range_min"])
             high = int(row["range_max"])
             servo = _Servo(int(row["id"]), int(row["homing_offset"]), 0.5 * (low + high), high - low)
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise InputError(
-                f"calibration: {path} has no row {name!r} with id, homing_offset, range_min and range_max"
+                f"calibration: {shown_path(path)} has no row {name!r} with id, homing_offset, range_min and range_max"
             ) from None
+        if not 0 <= servo.id < _EVERYBODY:
+            raise InputError(f"calibration: {name} has the id {servo.id!s:.20}; ids of servos are from 0 to {_EVERYBODY - 1}")
         travel = servo.travel * 2.0 * np.pi / _COUNTS
         if servo.travel < _FULL_TURN_COUNTS and abs(travel - model_range) > _TRAVEL_TOLERANCE * model_range:
             raise InputError(

@@ -65,39 +65,34 @@ def actuator_notes(
     """What differs from the file or from what controllers model, one sentence each: those that need a warning, and others."""
     model = analysis.model
     names = [joint_name(model, each.joint) for each in transmissions]
-    warned: list[str] = []
     windings = [
         f"{name}: {' and '.join(motor.features)}" for name, motor in zip(names, motors, strict=True) if motor and motor.features
     ]
-    if windings:
-        warned.append(f"what DC motors have acts in simulation, but controllers do not model it ({_listed(windings)})")
     delays = [
         f"{name} {1e3 * model.actuator_delay[each.actuator]:.3g} ms"
         for name, each in zip(names, transmissions, strict=True)
         if model.actuator_delay[each.actuator] > 0.0
     ]
-    if delays:
-        warned.append(f"the actuators delay commands ({_listed(delays)}); simulations and margins include it")
     springs = [
         f"{joint_name(model, joint)} behind {joint_name(model, motor_joint)}, {model.jnt_stiffness[joint]:.3g} N m/rad"
         for joint, motor_joint in analysis.springs.items()
         if joint in joints and motor_joint in joints
     ]
-    if springs:
-        warned.append(f"elastic joints move in simulation and margins, but controllers take them as rigid ({_listed(springs)})")
     moved = {joint for each in transmissions for joint in each.coupled} | set(joints)
     yielding = [
         f"{joint_name(model, joint)} beyond {model.jnt_springyield[joint]:.3g} rad"
         for joint in sorted(moved)
         if model.jnt_plasticadr[joint] >= 0
     ]
-    if yielding:
-        warned.append(f"springs yield in simulation (springyield), but controllers take them as elastic ({_listed(yielding)})")
     late = _late_sensors(analysis, transmissions, names)
-    if late:
-        warned.append(
-            f"the sensors of joints are late ({_listed(late)}); simulations and margins include it, but environments do not"
-        )
+    sentences = {
+        "what DC motors have acts in simulation, but controllers do not model it ({})": windings,
+        "the actuators delay commands ({}); simulations and margins include it": delays,
+        "elastic joints move in simulation and margins, but controllers take them as rigid ({})": springs,
+        "springs yield in simulation (springyield), but controllers take them as elastic ({})": yielding,
+        "the sensors of joints are late ({}); simulations and margins include it, but environments do not": late,
+    }
+    warned = [sentence.format(_listed(found)) for sentence, found in sentences.items() if found]
     servos = [name for name, each in zip(names, transmissions, strict=True) if _is_servo(model, each.actuator)]
     quiet = [f"torque motors replace the servos of {_listed(servos)}: their gains are not used"] if servos else []
     return warned, quiet

@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl.core.validation import Array, frozen
 from armctl.loading.describe import ArmPlan
-from armctl.loading.home import clear_keyframe_controls, home_controls, home_qpos
+from armctl.loading.home import home_controls, home_qpos
 from armctl.loading.limits import joint_limits
 from armctl.mjmodel.target_marker import set_target_start
 from armctl.robot.actuation import Actuation
@@ -29,7 +29,7 @@ def make_arms(
     arms = [_arm(name, model, plan, qpos, notes, recipe) for plan in plans]
     near_home = arms[0].limits.clamp(arms[0].home + _TARGET_OFFSET)
     set_target_start(model, arms[0].fk(near_home).position)
-    clear_keyframe_controls(model, np.concatenate([arm.ctrl_adr for arm in arms]))
+    model.key_ctrl[:, np.concatenate([arm.ctrl_adr for arm in arms])] = 0.0  # they hold angles for what are torques now
     ctrl = home_controls(model)
     return tuple(replace(arm, home_ctrl=ctrl) for arm in arms)
 

@@ -32,7 +32,6 @@ class Row:
 
     @property
     def sources(self) -> str:
-        """The sources of all figures."""
         return "; ".join(dict.fromkeys(filter(None, [self.rating_source, self.source])))
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 
 from armctl.core.errors import ModelError, UnknownNameError
@@ -43,15 +43,13 @@ class ArmPlan:
     notes: tuple[str, ...]  # what had to be assumed, one sentence each
     quiet_notes: tuple[str, ...]  # what needs no warning, one sentence each
 
-    def with_tip_body(self, body: int) -> ArmPlan:
-        """The same plan for a model in which the tip's body has another number."""
-        return replace(self, tip=replace(self.tip, body=body))
-
 
 def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnds]) -> list[ArmPlan]:
     """The arms to some tips from some bases of a model with its own actuators; errors as those of `armctl.load`."""
     chains = [find_ends(source, analysis, each) for each in ends]
-    check_independent(analysis, [joints for joints, _ in chains])
+    for (one, _), (other, _) in permutations(chains, 2):
+        if reason := _why_dependent(analysis, one, other):
+            raise ModelError(reason)
     return [
         _described(source, analysis, joints, tip.moved(each.tip_offset), each.tip is None and source.urdf is not None)
         for (joints, tip), each in zip(chains, ends, strict=True)
@@ -76,14 +74,6 @@ def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[J
     return joints, tip.moved(Pose(row.tip_offset or (0.0, 0.0, 0.0)))
 
 
-def check_independent(analysis: Transmissions, chains: Sequence[Joints]) -> None:
-    """Refuses chains that cannot move at once: one is part of another, two move the same joint, or one stands on another."""
-    for one, other in permutations(chains, 2):
-        reason = _why_dependent(analysis, one, other)
-        if reason:
-            raise ModelError(reason)
-
-
 def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip, chosen: bool) -> ArmPlan:
     model = analysis.model
     transmissions = analysis.of_chain(joints)
@@ -105,7 +95,7 @@ def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip
 
 
 def _why_dependent(analysis: Transmissions, one: Joints, other: Joints) -> str:
-    """Why two chains cannot move at once; empty if they can."""
+    """Why two chains cannot move at once: one is part of the other, both move the same joint, or one stands on the other."""
     model = analysis.model
     tip = shown(tip_of_chain(model, one).name)
     other_tip = shown(tip_of_chain(model, other).name)

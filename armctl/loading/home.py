@@ -6,7 +6,7 @@ import math
 
 import mujoco
 
-from armctl.core.validation import Array, IntArray, frozen
+from armctl.core.validation import Array, frozen
 from armctl.mjmodel.queries import Joints, is_below, is_free, joint_actuators, joint_range
 
 
@@ -38,12 +38,6 @@ def home_controls(model: mujoco.MjModel) -> Array:
     if model.nkey:
         return frozen(model.key_ctrl[_home_key(model)].copy())
     return frozen(mujoco.MjData(model).ctrl.copy())
-
-
-def clear_keyframe_controls(model: mujoco.MjModel, ctrl_adr: IntArray) -> None:
-    """Sets the controls of an arm's motors in all keyframes to zero: the keyframes hold angles for what are torques now."""
-    if model.nkey:
-        model.key_ctrl[:, ctrl_adr] = 0.0
 
 
 def _home_key(model: mujoco.MjModel) -> int:

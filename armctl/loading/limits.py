@@ -89,8 +89,7 @@ def torque_limits(
         v_max = default_speeds(model, transmissions) if published is None else published
         tau[unknown] = _assumed_torque(model, transmissions, v_max)[unknown]
         sources.add("assumed")
-        joints = [transmissions[i].joint for i in np.flatnonzero(unknown).tolist()]
-        notes = (_assumed_torque_note(model, joints, tau[unknown]),)
+        notes = (_assumed_torque_note(model, [transmissions[i].joint for i in np.flatnonzero(unknown).tolist()], tau[unknown]),)
     return TorqueLimits(tau, ", ".join(sorted(sources)), notes)
 
 

@@ -24,13 +24,7 @@ from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
 from armctl.loading.describe import ArmEnds, describe_arms, find_ends
 from armctl.loading.home import remove_free_joints
-from armctl.loading.model_checks import (
-    check_joint_parameters,
-    check_mass_matrix,
-    check_timestep,
-    drag_notes,
-    reversed_range_notes,
-)
+from armctl.loading.model_checks import check_joint_parameters, check_mass_matrix, check_timestep, model_notes
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.loading.scene import Scene
 from armctl.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
@@ -38,7 +32,6 @@ from armctl.loading.tip import tip_on
 from armctl.loading.undriven import add_missing_motors
 from armctl.loading.urdf_file import UrdfFile
 from armctl.mjmodel.edit import copy_options
-from armctl.mjmodel.queries import model_name
 from armctl.mjmodel.transmissions import Transmissions
 from armctl.robot.arm import Arm
 from armctl.robot.parity import check_parity
@@ -101,7 +94,8 @@ class _Recipe:
                 _, flange = find_ends(source, analysis, ArmEnds(only.tip, only.base))
             body = next(b for b in spec.bodies if b.id == flange.body)
             ends = [replace(only, tip=mount(spec, body, flange.T_body_tip, locate(self.tool, tool=True)))]
-        _add_scene(spec, self.scene)
+        if self.scene is not None:
+            (self.scene if isinstance(self.scene, Scene) else Scene(self.scene)).build(spec)
         original = source.compile_without_textures(spec)
         with _naming(source.name):
             check_timestep(original)
@@ -110,7 +104,7 @@ class _Recipe:
         prepared = make_arm_model(source, spec, analysis, plans, robot.loose_links, edit)
         rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
         quiet_notes = (*filter(None, [rating]), *robot.quiet_notes, *prepared.quiet_notes)
-        return source.name, replace(prepared, quiet_notes=quiet_notes), [*robot.notes, *_model_notes(original)]
+        return source.name, replace(prepared, quiet_notes=quiet_notes), [*robot.notes, *model_notes(original)]
 
 
 def load(
@@ -153,12 +147,8 @@ def load(
     """
     if tip_offset is not None:
         instance("tip_offset", tip_offset, Pose, "armctl.Pose([0, 0, 0.1]) is 0.1 m along z")
-    hold_base = flag("hold_base", hold_base)
-    if isinstance(robot, mujoco.MjModel):
-        _refuse_additions(hold_base=hold_base, tool=tool is not None, scene=scene is not None, srdf=srdf is not None)
-        return _load_compiled(robot, [ArmEnds(tip, base, tip_offset)])[0]
-    ends = (ArmEnds(tip, base, tip_offset),)
-    return _load_recipe(_Recipe(_kept(robot), ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf))[0]
+    ends = [ArmEnds(tip, base, tip_offset)]
+    return _loaded(robot, ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf)[0]
 
 
 def load_arms(
@@ -203,12 +193,8 @@ def load_arms(
         raise InputError(f"base: {shown(base)} is neither the name of a body nor a list of names")
     if len(bases) != len(tips):
         raise InputError(f"base: {len(bases)} given for {len(tips)} tips; give one for each, or one for all")
-    hold_base = flag("hold_base", hold_base)
     ends = [ArmEnds(named_tip, named_base) for named_tip, named_base in zip(tips, bases, strict=True)]
-    if isinstance(robot, mujoco.MjModel):
-        _refuse_additions(hold_base=hold_base, scene=scene is not None, srdf=srdf is not None)
-        return _load_compiled(robot, ends)
-    return _load_recipe(_Recipe(_kept(robot), tuple(ends), hold_base=hold_base, tool=None, scene=scene, srdf=srdf))
+    return _loaded(robot, ends, hold_base=hold_base, tool=None, scene=scene, srdf=srdf)
 
 
 def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> list[SerialChain]:
@@ -232,30 +218,35 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
     return all_chains(Transmissions(source.compile_without_textures(spec)))
 
 
-def _kept(robot: str | os.PathLike[str] | mujoco.MjSpec) -> str | os.PathLike[str] | mujoco.MjSpec:
-    """A robot as it is now: a caller can change a specification later."""
-    return locate(robot).read()[0] if isinstance(robot, mujoco.MjSpec) else robot
-
-
-def _load_recipe(recipe: _Recipe) -> tuple[Arm, ...]:
-    name, prepared, notes = recipe.prepared()
-    return _arms(name, prepared, notes, recipe)
-
-
-def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
-    """The arms of a compiled model, which is not changed."""
-    source = Source(model_name(model) or "model", None)
-    with _naming(source.name):
-        check_timestep(model)
-        analysis = Transmissions(model)
-        plans = describe_arms(source, analysis, ends)
-        prepared = make_arm_model_from_compiled(analysis, plans)
-    return _arms(source.name, prepared, _model_notes(model), None)
-
-
-def _model_notes(model: mujoco.MjModel) -> list[str]:
-    """What is doubtful in the whole model, one sentence each."""
-    return [*drag_notes(model), *reversed_range_notes(model)]
+def _loaded(
+    robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
+    ends: Sequence[ArmEnds],
+    *,
+    hold_base: bool,
+    tool: str | os.PathLike[str] | mujoco.MjSpec | None,
+    scene: Scene | str | os.PathLike[str] | None,
+    srdf: str | os.PathLike[str] | None,
+) -> tuple[Arm, ...]:
+    """The arms with these ends. A specification is copied, since a caller can change it later."""
+    hold_base = flag("hold_base", hold_base)
+    if isinstance(robot, mujoco.MjModel):
+        additions = {"hold_base": hold_base or None, "tool": tool, "scene": scene, "srdf": srdf}
+        for what, addition in additions.items():
+            if addition is not None:
+                raise InputError(
+                    f"{what}: a compiled MjModel cannot be changed in this way; pass the MjSpec or the path of the file"
+                )
+        model: mujoco.MjModel = robot
+        source = Source(model.names[: model.names.index(b"\0")].decode(errors="replace") or "model", None)
+        with _naming(source.name):
+            check_timestep(model)
+            analysis = Transmissions(model)
+            plans = describe_arms(source, analysis, ends)
+            prepared = make_arm_model_from_compiled(analysis, plans)
+        return _arms(source.name, prepared, model_notes(model), None)
+    kept = locate(robot).read()[0] if isinstance(robot, mujoco.MjSpec) else robot
+    recipe = _Recipe(kept, tuple(ends), hold_base=hold_base, tool=tool, scene=scene, srdf=srdf)
+    return _arms(*recipe.prepared(), recipe)
 
 
 def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Recipe | None) -> tuple[Arm, ...]:
@@ -294,20 +285,6 @@ def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:
     if srdf is None or not srdf.disabled:
         return False
     return is_given or srdf.path.stem == urdf.path.stem.removesuffix(".urdf")
-
-
-def _add_scene(spec: mujoco.MjSpec, scene: Scene | str | os.PathLike[str] | None) -> None:
-    if scene is not None:
-        (scene if isinstance(scene, Scene) else Scene(scene)).build(spec)
-
-
-def _refuse_additions(**given: bool) -> None:
-    """Refuses what a compiled model cannot get."""
-    for what, is_given in given.items():
-        if is_given:
-            raise InputError(
-                f"{what}: a compiled MjModel cannot be changed in this way; pass the MjSpec or the path of the file"
-            )
 
 
 @contextlib.contextmanager

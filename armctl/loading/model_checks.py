@@ -52,18 +52,16 @@ def check_mass_matrix(arm: Arm) -> None:
         )
 
 
-def reversed_range_notes(model: mujoco.MjModel) -> list[str]:
-    """One sentence about joints whose range ends below its start, which MuJoCo takes as no range; or none."""
-    reversed_range = np.flatnonzero(model.jnt_range[:, 0] > model.jnt_range[:, 1])
-    names = ", ".join(joint_name(model, joint) for joint in reversed_range.tolist())
-    return [f"the range of {names} ends below its start, so it counts as unlimited"] if names else []
-
-
-def drag_notes(model: mujoco.MjModel) -> list[str]:
-    """One sentence if a model simulates the drag of air or water, which an arm's dynamics leave out; or none."""
+def model_notes(model: mujoco.MjModel) -> list[str]:
+    """A sentence each on the drag of air or water, and on joints whose range ends below its start, which is none to MuJoCo."""
+    notes = []
     option = model.opt
-    if not (option.density or option.viscosity):
-        return []
-    wind = ", ".join(f"{x:g}" for x in option.wind)
-    medium = f"density {option.density:g} kg/m^3, viscosity {option.viscosity:g} Pa s, wind [{wind}] m/s"
-    return [f"drag ({medium}) acts in simulation, but controllers do not model it; density=0 viscosity=0 removes it"]
+    if option.density or option.viscosity:
+        wind = ", ".join(f"{x:g}" for x in option.wind)
+        medium = f"density {option.density:g} kg/m^3, viscosity {option.viscosity:g} Pa s, wind [{wind}] m/s"
+        notes.append(f"drag ({medium}) acts in simulation, but controllers do not model it; density=0 viscosity=0 removes it")
+    reversed_range = np.flatnonzero(model.jnt_range[:, 0] > model.jnt_range[:, 1])
+    if len(reversed_range):
+        names = ", ".join(joint_name(model, joint) for joint in reversed_range.tolist())
+        notes.append(f"the range of {names} ends below its start, so it counts as unlimited")
+    return notes

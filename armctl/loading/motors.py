@@ -35,11 +35,15 @@ def make_motors(
     motors = {a.id: a for a in spec.actuators}
     voltages = {each.actuator: each.voltage for each in dc_motors if each is not None}
     for transmission in transmissions:
-        for joint in transmission.coupled:
-            joints[joint].actgravcomp = False  # as a motor's torque it would count against the motor's limit
+        for coupled in transmission.coupled:
+            joints[coupled].actgravcomp = False  # as a motor's torque it would count against the motor's limit
     for transmission, actuator, gear, bound in _motors_of(analysis, transmissions, tau_max):
         motor = motors[actuator]
-        _move_reflected(motor, joints[transmission.joint], gear)
+        joint = joints[transmission.joint]  # takes the motor's armature and damping, which MuJoCo would add there anyway
+        joint.armature = joint.armature + gear**2 * motor.armature
+        joint.damping = np.asarray(joint.damping) + gear**2 * np.asarray(motor.damping)
+        motor.armature = 0.0
+        motor.damping = np.zeros_like(motor.damping)
         if actuator in voltages:
             set_current_controller(motor, voltages[actuator])
             motor.ctrlspec = TORQUE_COMMAND
@@ -61,15 +65,13 @@ def adapt_keyframes(spec: mujoco.MjSpec, analysis: Transmissions, arms: Sequence
     """Gives the keyframes the controls and states of the actuators after `make_motors` has changed those of all arms."""
     model = analysis.model
     motors = {a.id: a for a in spec.actuators}
-    changed = {
-        actuator
-        for transmissions in arms
-        for _, actuator, _, _ in _motors_of(analysis, transmissions, np.ones(len(transmissions)))
-    }
-    states = {
-        actuator: [0.0] * state_count(motors[actuator].dynprm) if _is_dc(motors[actuator]) else [] for actuator in changed
-    }
-    controls = {actuator: [0.0] for actuator in changed}
+    states: dict[int, list[float]] = {}
+    controls: dict[int, list[float]] = {}
+    for transmissions in arms:
+        for _, actuator, _, _ in _motors_of(analysis, transmissions, np.ones(len(transmissions))):
+            is_dc = motors[actuator].gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR
+            states[actuator] = [0.0] * state_count(motors[actuator].dynprm) if is_dc else []
+            controls[actuator] = [0.0]
     for key in spec.keys:
         key.act = _in_blocks(list(key.act), model.actuator_actadr, model.actuator_actnum, states)
         key.ctrl = _in_blocks(list(key.ctrl), model.actuator_ctrladr, model.actuator_ctrlnum, controls)
@@ -147,10 +149,6 @@ def _has_memory(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(has_state or model.actuator_plugin[actuator] >= 0 or model.actuator_ctrlnum[actuator] != 1)
 
 
-def _is_dc(motor: mujoco.MjsActuator) -> bool:
-    return bool(motor.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR)
-
-
 def _in_blocks(values: list[float], first: IntArray, count: IntArray, changed: dict[int, list[float]]) -> list[float]:
     """A keyframe's numbers of all actuators, after some actuators have got others; empty if the keyframe has none."""
     if not values:
@@ -167,11 +165,3 @@ def _enable_actuators(option: mujoco.MjOption, groups: set[int]) -> bool:
     option.disableflags &= ~flag
     option.disableactuator &= ~bits
     return disabled
-
-
-def _move_reflected(motor: mujoco.MjsActuator, joint: mujoco.MjsJoint, gear: float) -> None:
-    """Moves an actuator's own armature and damping to its joint, where MuJoCo would add them anyway."""
-    joint.armature = joint.armature + gear**2 * motor.armature
-    joint.damping = np.asarray(joint.damping) + gear**2 * np.asarray(motor.damping)
-    motor.armature = 0.0
-    motor.damping = np.zeros_like(motor.damping)

@@ -74,7 +74,7 @@ def _body_names(model: mujoco.MjModel, first: int, second: int) -> tuple[str, st
 
 def touching_links(model: mujoco.MjModel, joints: Joints, links: Collection[str]) -> list[tuple[str, str]]:
     """The pairs of bodies, both among some links, that touch each other at home."""
-    pairs = [(model.body(first).name, model.body(second).name) for first, second in _touching_bodies(model, joints)]
+    pairs = [_body_names(model, *pair) for pair in _touching_bodies(model, joints)]
     return [pair for pair in pairs if set(pair) <= set(links)]
 
 

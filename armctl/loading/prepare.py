@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 
@@ -68,7 +68,7 @@ def make_arm_model(
     if edit is not None:
         edit(spec)
     model = source.compile(spec)
-    renumbered = tuple(plan.with_tip_body(bodies[plan.tip.body].id) for plan in plans)
+    renumbered = tuple(replace(plan, tip=replace(plan.tip, body=bodies[plan.tip.body].id)) for plan in plans)
     return PreparedModel(model, renumbered, tuple(notes), tuple(excluded))
 
 

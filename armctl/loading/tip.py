@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, replace
 
 import mujoco
+import numpy as np
 
 from armctl.core.errors import UnknownNameError
 from armctl.core.pose import Pose
@@ -52,9 +53,10 @@ def tip_on(model: mujoco.MjModel, body: int) -> Tip:
                 return named_tip(model, name)
     if len(sites) == 1:
         return named_tip(model, next(iter(sites.values())))
-    balls = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in bodies and _is_named_ball(model, g)]
+    spheres = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE).tolist()
+    balls = [model.geom(g).name for g in spheres if int(model.geom_bodyid[g]) in bodies and model.geom(g).name]
     if len(balls) == 1:
-        return named_tip(model, model.geom(balls[0]).name)
+        return named_tip(model, balls[0])
     end = _end_body(model, bodies)
     return Tip(body_name(model, end), end, Pose([0.0, 0.0, 0.0]))
 
@@ -102,7 +104,3 @@ def _end_body(model: mujoco.MjModel, bodies: list[int]) -> int:
             return named[-1]
     ends = [b for b in kept if not any(is_below(model, other, b) for other in kept if other != b)]
     return max(b for b in bodies if all(is_below(model, end, b) for end in ends))
-
-
-def _is_named_ball(model: mujoco.MjModel, geom: int) -> bool:
-    return model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE and bool(model.geom(geom).name)

@@ -68,15 +68,9 @@ def _add_motors(spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint], driven: set[
         if joint.type not in _SCALAR or joint.name in driven or joint.name in followers:
             continue
         if not joint.name:
-            joint.name = _free_name(taken)
+            joint.name = next(name for number in itertools.count() if (name := f"joint{number}") not in taken)
+            taken.add(joint.name)
         spec.add_actuator(name=f"motor of {joint.name}", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         driven.add(joint.name)
         added.append(joint.name)
     return added
-
-
-def _free_name(taken: set[str]) -> str:
-    """A name for a nameless joint, which is added to those taken."""
-    name = next(name for number in itertools.count() if (name := f"joint{number}") not in taken)
-    taken.add(name)
-    return name

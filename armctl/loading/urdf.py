@@ -130,7 +130,12 @@ def correct_inertias(spec: mujoco.MjSpec) -> list[str]:
     massless = [name for name, parts in moving.items() if not any(map(_has_mass, parts))]
     inferred = [part.name for parts in moving.values() for part in parts if not part.explicitinertial and part.geoms]
     for name in massless:
-        _give_mass(moving[name][0])
+        body = moving[name][0]
+        body.explicitinertial = True
+        body.mass = max(body.mass, MIN_MASS_KG)
+        body.ipos = np.nan_to_num(body.ipos)
+        body.inertia = np.full(3, MIN_INERTIA_KG_M2)
+        body.fullinertia = _NO_INERTIA
     sentences = {
         "the inertia of {} is one that no body has: armctl uses the nearest possible one": unphysical,
         f"no mass or inertia given for {{}}: {MIN_MASS_KG:g} kg and {MIN_INERTIA_KG_M2:g} kg m^2 at least are used": massless,
@@ -166,14 +171,6 @@ def _correct_inertia(body: mujoco.MjsBody) -> bool:
     return near is not given
 
 
-def _give_mass(body: mujoco.MjsBody) -> None:
-    body.explicitinertial = True
-    body.mass = max(body.mass, MIN_MASS_KG)
-    body.ipos = np.nan_to_num(body.ipos)
-    body.inertia = np.full(3, MIN_INERTIA_KG_M2)
-    body.fullinertia = _NO_INERTIA
-
-
 def _has_mass(body: mujoco.MjsBody) -> bool:
     if not body.explicitinertial:
         return bool(body.geoms)
@@ -181,5 +178,4 @@ def _has_mass(body: mujoco.MjsBody) -> bool:
 
 
 def _welded(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-    """A link and those fixed to it."""
     return [body] + [part for child in body.bodies if not child.joints for part in _welded(child)]

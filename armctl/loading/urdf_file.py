@@ -37,7 +37,7 @@ def read_urdf_file(path: Path) -> UrdfFile:
     content = model_bytes(path)
     root = parse_xml(content, path)
     text = None
-    if _is_xacro(root):
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
         text = _expanded(path)
         root = parse_xml(text.encode(), path)
     elif path.suffix.lower() != ".urdf":  # MuJoCo chooses a reader by the ending
@@ -97,10 +97,6 @@ def _first_tag(path: Path) -> str:
     except (expat.ExpatError, OSError, LookupError):
         pass  # MuJoCo reports what is wrong; elements before the error count
     return tags[0] if tags else ""
-
-
-def _is_xacro(root: ElementTree.Element) -> bool:
-    return any(element.tag.startswith("xacro:") for element in root.iter())
 
 
 def _expanded(path: Path) -> str:

@@ -54,7 +54,9 @@ class Couplings:
             is_limited = bool(model.tendon_limited[tendon])
             has_force = _has_passive_force(model, tendon)
             has_variable_arm = not tendon_coefficients(model, tendon)
-            if not (_is_driven(model, tendon) or is_limited or has_force):
+            on_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
+            is_driven = bool(np.any(on_tendon & (model.actuator_trnid[:, 0] == tendon)))
+            if not (is_driven or is_limited or has_force):  # one that only measures a length couples nothing
                 continue
             label = shown(name_of(model, mujoco.mjtObj.mjOBJ_TENDON, tendon))
             name = shown(joint_name(model, joint))
@@ -117,12 +119,6 @@ def _by_dof(dofs_of: dict[int, frozenset[int]]) -> dict[int, list[int]]:
         for dof in dofs:
             found.setdefault(dof, []).append(element)
     return found
-
-
-def _is_driven(model: mujoco.MjModel, tendon: int) -> bool:
-    """Whether an actuator pulls at a tendon. A tendon that only measures a length couples nothing."""
-    on_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
-    return bool(np.any(on_tendon & (model.actuator_trnid[:, 0] == tendon)))
 
 
 def _has_passive_force(model: mujoco.MjModel, tendon: int) -> bool:

@@ -53,11 +53,6 @@ def actuator_name(model: mujoco.MjModel, actuator: int) -> str:
     return name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)
 
 
-def model_name(model: mujoco.MjModel) -> str:
-    """The name of a model, as its MJCF or URDF gives it."""
-    return model.names[: model.names.index(b"\0")].decode(errors="replace")
-
-
 def is_on_joint(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator acts on one joint, `actuator_trnid[actuator, 0]`, and not on a tendon, a site or a crank."""
     return model.actuator_trntype[actuator] in _ON_JOINT
@@ -167,11 +162,6 @@ def branches(model: mujoco.MjModel, body: int) -> list[int]:
     """The jointed bodies that are attached to a body, or to a body welded to it."""
     rigid = welded_behind(model, body)
     return [b for b in range(1, model.nbody) if model.body_parentid[b] in rigid and model.body_jntnum[b] and b not in rigid]
-
-
-def keyframe_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """The names of a model's keyframes; their numbers where they have none."""
-    return tuple(model.key(i).name or f"keyframe {i}" for i in range(model.nkey))
 
 
 def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> Array:

@@ -16,17 +16,11 @@ _TOLERANCE = 1e-6  # of a tick
 
 
 class SensorTiming(NamedTuple):
-    """When n joints are measured: at multiples of an interval; a measurement is read after a delay, until the next one.
+    """When n joints are measured: at multiples of an interval; a measurement is read after a delay, until the next one."""
 
-    Attributes:
-        delay: (n,) s.
-        interval: (n,) s; 0 for every tick.
-        phase: (n,) s, the time of the last measurement before 0, above -interval; 0 for one at 0.
-    """
-
-    delay: Array
-    interval: Array
-    phase: Array
+    delay: Array  # (n,) s
+    interval: Array  # (n,) s; 0 for every tick
+    phase: Array  # (n,) s, the time of the last measurement before 0, above -interval; 0 for one at 0
 
     @property
     def is_late(self) -> bool:
@@ -45,10 +39,7 @@ class SensorTiming(NamedTuple):
 def sensor_timing(model: mujoco.MjModel, joints: Mapping[int, int], actuators: Mapping[int, int], n: int) -> SensorTiming:
     """The timing of n joints by the latest sensor of each; a joint without one is measured at every tick.
 
-    Args:
-        joints: Which of the n joints each joint of the model belongs to, such as the motor's and its spring's.
-        actuators: The same for actuators.
-        n: The number of joints.
+    `joints` and `actuators` say which of the n joints those of the model belong to, such as the motor's and its spring's.
     """
     timing = SensorTiming(np.zeros(n), np.zeros(n), np.zeros(n))
     for sensor in range(model.nsensor):

@@ -43,11 +43,7 @@ def spring_joints(model: mujoco.MjModel) -> dict[int, int]:
 
 
 def settle_springs(model: mujoco.MjModel, data: mujoco.MjData, joints: list[int], motors: IntArray) -> None:
-    """Moves spring joints to where gravity and their springs balance, and motors so that the links stay, in place.
-
-    Args:
-        motors: The addresses of the motors before them in `MjData.qpos`.
-    """
+    """Moves spring joints to where gravity and their springs balance, and motors, by addresses in qpos, so that links stay."""
     positions = model.jnt_qposadr[joints]
     dofs = model.jnt_dofadr[joints]
     stiffness = model.jnt_stiffness[joints]

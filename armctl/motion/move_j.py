@@ -26,7 +26,7 @@ def move_j(
     speed: float = 1.0,
     straight: bool = True,
 ) -> JointTrajectory:
-    """The fastest jerk-limited motion from one joint position to another.
+    """The fastest jerk-limited motion from one joint position to rest at another.
 
     A straight motion has one path parameter for all joints, with the tightest of their limits along the direction; ruckig
     (Berscheid and Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) times it.
@@ -38,9 +38,6 @@ def move_j(
         speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
         straight: Whether the path is a straight line in joint space. Otherwise each joint moves independently in the time
             that the slowest needs.
-
-    Returns:
-        The motion; it ends at rest.
 
     Raises:
         InputError: A wrong length, a number that is not finite, or a setpoint that leads off the line.

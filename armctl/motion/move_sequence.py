@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.limits import Limits
 from armctl.core.validation import Array, instance, number
 from armctl.motion.timing.path_timing import slowed_down
 from armctl.motion.torque_limits import MotionPath, within_torque
@@ -51,7 +50,9 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
     plain = reduce(JointTrajectory.then, parts)
     if plain.joint_names != arm.joint_names:
         raise InputError(f"motions: they move {', '.join(plain.joint_names):.80}, the arm has {', '.join(arm.joint_names):.80}")
-    _require_rest(parts)
+    for k, (before, after) in enumerate(pairwise(parts)):
+        if max(np.abs(before(before.duration).v).max(), np.abs(after(0.0).v).max()) > REST_SPEED:
+            raise InputError(f"motions: the arm does not rest between motions {k} and {k + 1}, so there is no corner to round")
     if radius == 0.0:
         return plain
     pieces = parts[0].pieces
@@ -63,12 +64,6 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
         whole = replace(whole, knots=slower.knots, coefficients=joints_of(slower).coefficients)
     rounded = within_torque(arm, whole)
     return rounded if rounded.duration < plain.duration else plain
-
-
-def _require_rest(parts: Sequence[JointTrajectory]) -> None:
-    for k, (before, after) in enumerate(pairwise(parts)):
-        if max(np.abs(before(before.duration).v).max(), np.abs(after(0.0).v).max()) > REST_SPEED:
-            raise InputError(f"motions: the arm does not rest between motions {k} and {k + 1}, so there is no corner to round")
 
 
 def _ramp(arm: Arm, motion: JointTrajectory, radius: float, at_end: bool) -> float:
@@ -88,14 +83,11 @@ def _ramp(arm: Arm, motion: JointTrajectory, radius: float, at_end: bool) -> flo
 
 def _rounded(arm: Arm, first: Pieces, second: Pieces, overlap: float) -> Pieces:
     """Both with the overlap, or with less if the corner would leave the position limits."""
+    unlimited: Array = np.full(arm.n, np.inf)
+    positions_only = replace(arm.limits, v_max=unlimited, a_max=unlimited, j_max=unlimited)
     while overlap > _MIN_OVERLAP_S:
         pieces = overlapped(first, second, overlap)
-        if is_inside(pieces, _positions_only(arm)):
+        if is_inside(pieces, positions_only):
             return pieces
         overlap *= 0.5
     return overlapped(first, second, 0.0)
-
-
-def _positions_only(arm: Arm) -> Limits:
-    unlimited: Array = np.full(arm.n, np.inf)
-    return replace(arm.limits, v_max=unlimited, a_max=unlimited, j_max=unlimited)

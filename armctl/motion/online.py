@@ -54,7 +54,7 @@ class OnlineMotion:
         self._start = JointState(start.q.tolist(), start.v.tolist(), start.a.tolist())
         self._goal: Array | None = None
         self._brake()
-        if not self._stays_inside(self._profile):
+        if not self._profile.stays_inside(self._q_min_loose, self._q_max_loose):
             raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
 
     @property
@@ -76,10 +76,12 @@ class OnlineMotion:
         goal = self._checked(q)
         start = self._state(self._t)
         profile = self._profile_to(start, goal)
-        if profile is not None:
-            self._take(start, goal, profile)
-            return
         self._start = start
+        if profile is not None:
+            self._profile = profile
+            self._t = 0.0
+            self._goal = goal
+            return
         self._brake()
         raise PlanError(
             "go_to: no motion inside the limits leads to the goal from this state; the arm stops, call go_to again at rest"
@@ -92,13 +94,10 @@ class OnlineMotion:
         self._brake()
 
     def step(self, dt: float) -> Setpoint:
-        """Advances by one tick.
+        """Advances by one tick, to the setpoint at its end: q, v, a, each (n,).
 
         Args:
             dt: s, the tick, at least 0.
-
-        Returns:
-            q, v, a at its end, each (n,).
         """
         self._t += number("dt", dt, 0.0)
         return self.setpoint
@@ -134,18 +133,9 @@ class OnlineMotion:
         target = JointState(goal.tolist(), self._zero, self._zero)
         for together in (True, False):
             profile = self._solver.solve(start, target, together)
-            if profile is not None and self._stays_inside(profile):
+            if profile is not None and profile.stays_inside(self._q_min_loose, self._q_max_loose):
                 return profile
         return None
-
-    def _take(self, start: JointState, goal: Array, profile: Profile) -> None:
-        self._start = start
-        self._profile = profile
-        self._t = 0.0
-        self._goal = goal
-
-    def _stays_inside(self, profile: Profile) -> bool:
-        return profile.stays_inside(self._q_min_loose, self._q_max_loose)
 
     def _brake(self) -> None:
         """Replaces the profile by the fastest stop from `_start`."""

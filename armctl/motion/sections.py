@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,16 +14,13 @@ from armctl.core.limits import torque_shares
 from armctl.core.validation import Array, IntArray, number
 from armctl.motion.timing.path_timing import Fractions, slowed_down
 from armctl.motion.timing.speed_bounds import TorqueRows
-from armctl.motion.torque_limits import InverseDynamics, MotionPath, TorqueBounds, sample_times
+from armctl.motion.torque_limits import MAX_STRETCHES, InverseDynamics, MotionPath, TorqueBounds, sample_times, stretch_for
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.motion.trajectory.piecewise import Pieces, joints_of, sample, standing, time_scaled
 from armctl.robot.arm import Arm
 
 _MIN_FRACTION = 1e-3
 _MAX_DWELL_S = 3600.0
-_MAX_STRETCHES = 100
-_MIN_STRETCH = 1.0005  # factors by which one stretch lengthens a motion
-_MAX_STRETCH = 1.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,12 +89,12 @@ def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequ
     if needed.share <= 1.0:
         return JointTrajectory(*joints_of(free), arm.joint_names, arm.limits, units=arm.units)
     feasible = slowed_down(path, motion.limits, knots, torques, fractions)
-    for _ in range(_MAX_STRETCHES):
+    for _ in range(MAX_STRETCHES):
         if torques.needed(feasible).share <= 1.0:
             slowed = Slowdown(float(feasible.knots[-1] / free.knots[-1]), arm.joint_names[needed.joint], needed.share)
             return JointTrajectory(*joints_of(feasible), arm.joint_names, arm.limits, slowed, arm.units)
-        stretch = min(max(math.sqrt(torques.most_overshoot(feasible)), _MIN_STRETCH), _MAX_STRETCH)
-        feasible = time_scaled(feasible, 1 / stretch)
+        overshoot = max(float(torques.overshoot(*states).max()) for states in torques.samples(feasible))
+        feasible = time_scaled(feasible, 1 / stretch_for(overshoot))
     raise PlanError(
         f"{arm.joint_names[needed.joint]} saturates with its payload, however slowly the arm moves; "
         "take a lighter payload or another path"
@@ -144,17 +140,14 @@ class _SectionTorques:
     def needed(self, pieces: Pieces) -> _Needed:
         """The largest share of a torque limit in a motion with its length."""
         worst = _Needed(0.0, 0)
-        for s, q, v, a in self._samples(pieces):
+        for s, q, v, a in self.samples(pieces):
             for k, here in self._sections(s):
                 shares = torque_shares(self._limits, self._dynamics[k].total(q[here], v[here], a[here]), v[here])
                 joint = int(shares.max(axis=0).argmax())
                 worst = max(worst, _Needed(float(shares[:, joint].max()), joint))
         return worst
 
-    def most_overshoot(self, pieces: Pieces) -> float:
-        return max(float(self.overshoot(*states).max()) for states in self._samples(pieces))
-
-    def _samples(self, pieces: Pieces) -> Iterator[tuple[Array, Array, Array, Array]]:
+    def samples(self, pieces: Pieces) -> Iterator[tuple[Array, Array, Array, Array]]:
         """Lengths, positions, velocities and accelerations."""
         for times in sample_times(pieces):
             q, v, a = sample(pieces, times)

@@ -29,7 +29,7 @@ _SAMPLE_INTERVAL_S = 0.004
 _MAX_EVEN_SAMPLES = 20_000  # a longer motion is sampled piece by piece, or in chunks of so many samples
 _MIN_SAMPLES_PER_PIECE = 64  # of a motion with very many pieces
 _TORQUE_MARGIN = 1e-3  # of the limits
-_MAX_STRETCHES = 100
+MAX_STRETCHES = 100
 _MIN_STRETCH = 1.0005  # factors by which one stretch lengthens a motion
 _MAX_STRETCH = 1.5
 
@@ -130,14 +130,19 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
     torques = TorqueBounds(arm)
     pieces = slowed_down(MotionPath(trajectory), trajectory.limits, trajectory.knots, torques)
     feasible = JointTrajectory(*joints_of(pieces), trajectory.joint_names, trajectory.limits, units=trajectory.units)
-    for _ in range(_MAX_STRETCHES):
+    for _ in range(MAX_STRETCHES):
         check = check_torque(arm, feasible)
         if check.ok:
             slowdown = Slowdown(feasible.duration / trajectory.duration, needed.joint, needed.ratio)
             return replace(feasible, slowed=slowdown)
         overshoot = max(float(torques.overshoot(times, *feasible.sample(times)[:3]).max()) for times in sample_times(feasible))
-        feasible = feasible.scaled(1 / min(max(math.sqrt(overshoot), _MIN_STRETCH), _MAX_STRETCH))
+        feasible = feasible.scaled(1 / stretch_for(overshoot))
     raise PlanError(f"{check_torque(arm, feasible)}, however slowly the arm moves; take a lighter payload or another path")
+
+
+def stretch_for(overshoot: float) -> float:
+    """The factor by which a motion is lengthened next, if bounds on torques are exceeded by a factor."""
+    return min(max(math.sqrt(overshoot), _MIN_STRETCH), _MAX_STRETCH)
 
 
 def slowed_relative_to(arm: Arm, motion: JointTrajectory, free: JointTrajectory) -> JointTrajectory:

@@ -85,7 +85,10 @@ def find_path(space: FreeSpace, start: Array, goals: Array, limits: Limits, rng:
     for goal in goals:
         if space.line_is_free(start, goal):
             return FreePath(np.array([start, goal]), 0)
-    low, high = _sampling_bounds(limits, np.vstack([start, goals]))
+    # Samples are drawn within the limits, and within half a turn around the ends where a joint has wide ones or none.
+    ends = np.vstack([start, goals])
+    low = np.maximum(limits.q_min, ends.min(axis=0) - np.pi)
+    high = np.minimum(limits.q_max, ends.max(axis=0) + np.pi)
     capacity = len(goals) + 2 * MAX_SAMPLES + 2
     trees = RrtConnect(space.checker.proof(space.keep), space.clearance, start, goals, low, high, capacity)
     taken = 0
@@ -150,13 +153,6 @@ def _place_on(points: list[Array], lengths: list[float], distance: float) -> tup
 def _distance(first: Array, second: Array) -> float:
     """rad; not by BLAS, whose last bits depend on the machine."""
     return math.sqrt(sum(((second - first) ** 2).tolist()))
-
-
-def _sampling_bounds(limits: Limits, ends: Array) -> tuple[Array, Array]:
-    """Where samples are drawn: the limits, and half a turn around the ends (k, n) where a joint has wide ones or none."""
-    low = np.maximum(limits.q_min, ends.min(axis=0) - np.pi)
-    high = np.minimum(limits.q_max, ends.max(axis=0) + np.pi)
-    return low, high
 
 
 def move_free(

@@ -166,7 +166,6 @@ class _Search:
         self.before = self.measures(motion)
 
     def measures(self, motion: JointTrajectory) -> MotionMeasures:
-        """The measures of a motion."""
         times = np.linspace(0.0, motion.duration, _SAMPLES)
         q, v, a = motion.sample(times)[:3]
         torque = torque_shares(self.arm.limits, self._inverse_dynamics.total(q, v, a), v)

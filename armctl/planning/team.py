@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
@@ -21,9 +21,6 @@ from armctl.planning.move_free import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.robot.joint_map import JointMap
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 _MAX_COMBINATIONS = 256  # of the solutions of all arms
 _MAX_ROOTS = 8
@@ -77,7 +74,8 @@ def plan_together(
         raise PlanError(f"start: {overlap_in_words(checker, start, nearest)}; move it apart or allow the contact")
     goals, goal_distance = _goals(checker, arms, starts, solutions)
     clearance = min(CLEARANCE_M, 0.5 * start_distance, 0.5 * goal_distance)
-    columns = _columns(arms)
+    ends = np.cumsum([arm.n for arm in arms.values()]).tolist()
+    columns = {tip: slice(end - arm.n, end) for (tip, arm), end in zip(arms.items(), ends, strict=True)}
     for goal in goals:
         motions = {tip: move_j(arms[tip], starts[tip], goal[columns[tip]], speed=speed) for tip in solutions}
         knots, coefficients = combined(motions, columns, start)
@@ -92,7 +90,12 @@ def plan_together(
     motion = flowing_motion(space._replace(clearance=0.5 * clearance), group, shorten(space, found.points, rng))
     if motion is None:
         raise PlanError("the path of the arms is free, but no motion along it could be proved; move one after the other")
-    return _within_torques({tip: _part(motion, arms[tip], columns[tip]) for tip in solutions}, arms)
+    motions = {}
+    for tip in solutions:
+        arm = arms[tip]
+        coefficients = np.ascontiguousarray(motion.coefficients[:, :, columns[tip]])
+        motions[tip] = JointTrajectory(motion.knots, coefficients, arm.joint_names, arm.limits, units=arm.units)
+    return _within_torques(motions, arms)
 
 
 def combined(motions: Mapping[str, JointTrajectory], columns: Mapping[str, slice], start: Array) -> tuple[Array, Array]:
@@ -135,18 +138,6 @@ def _goals(
         words = overlap_in_words(checker, candidates[0], pair)
         raise PlanError(f"the goals cannot be reached together without contact: {words}")
     return np.array(free), max(distances)
-
-
-def _columns(arms: Mapping[str, Arm]) -> dict[str, slice]:
-    """Which of all joints are an arm's."""
-    ends = np.cumsum([arm.n for arm in arms.values()]).tolist()
-    return {tip: slice(end - arm.n, end) for (tip, arm), end in zip(arms.items(), ends, strict=True)}
-
-
-def _part(motion: JointTrajectory, arm: Arm, columns: slice) -> JointTrajectory:
-    """One arm's part of a motion of all."""
-    coefficients = np.ascontiguousarray(motion.coefficients[:, :, columns])
-    return JointTrajectory(motion.knots, coefficients, arm.joint_names, arm.limits, units=arm.units)
 
 
 def _within_torques(motions: dict[str, JointTrajectory], arms: Mapping[str, Arm]) -> dict[str, JointTrajectory]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
 _MARGIN = 1.08  # width of the picture over width of its contents
@@ -42,21 +42,15 @@ def fitted_camera(arm: Arm, states: Sequence[mujoco.MjData], path: Array, aspect
 def box_corners(arm: Arm, data: mujoco.MjData) -> Array:
     """(8 k, 3) m, the corners of the bounding boxes of the k visible geoms of a robot, after forward kinematics."""
     model = arm.model
-    geoms = _geoms(arm)
+    root = model.body_rootid[model.jnt_bodyid[model.dof_jntid[arm.dof_adr[0]]]]
+    drawn = (model.geom_group < 3) & (model.geom_rgba[:, 3] > 0) & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE))
+    geoms = np.flatnonzero(drawn & (model.body_rootid[model.geom_bodyid] == root))
     center = model.geom_aabb[geoms, :3]
     half = model.geom_aabb[geoms, 3:]
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     local = center[:, None] + signs * half[:, None]
     rotation = data.geom_xmat[geoms].reshape(-1, 3, 3)
     return (data.geom_xpos[geoms][:, None] + np.einsum("gij,gkj->gki", rotation, local)).reshape(-1, 3)
-
-
-def _geoms(arm: Arm) -> IntArray:
-    """The visible geoms of the robot: those of all bodies below the arm's root body."""
-    model = arm.model
-    root = model.body_rootid[model.jnt_bodyid[model.dof_jntid[arm.dof_adr[0]]]]
-    drawn = (model.geom_group < 3) & (model.geom_rgba[:, 3] > 0) & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE))
-    return np.flatnonzero(drawn & (model.body_rootid[model.geom_bodyid] == root))
 
 
 def fitted_view(model: mujoco.MjModel, points: Array, azimuth: float, elevation: float, aspect: float) -> mujoco.MjvCamera:

@@ -94,7 +94,6 @@ def quaternions(rotations: Array) -> Array:
 
 
 def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioModel) -> None:
-    """Compares the core's dynamics with Pinocchio's."""
     n = core.n
     compiled = _core.Dynamics(core)
     tau = np.zeros(n)

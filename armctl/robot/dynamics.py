@@ -59,7 +59,6 @@ class Dynamics:
     """
 
     def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
-        """The dynamics of an arm with this model and Pinocchio model."""
         joint_map = pinocchio_model.joint_map
         passive = PassiveForces(model, joint_map)
         integrator = Integrator.of(model)

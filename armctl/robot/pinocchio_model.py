@@ -19,6 +19,7 @@ from armctl.core.pose import Pose
 from armctl.core.validation import Array, BoolArray, frozen
 from armctl.mjmodel.queries import last_joint_above
 from armctl.robot.joint_map import JointMap
+from armctl.robot.passive_forces import is_enabled
 
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
@@ -90,7 +91,8 @@ def build_pinocchio_model(
     frames = [_joint_frame(data.xanchor[j], data.xaxis[j]) for j in joints]
     is_slide = np.array([model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for j in joints])
     pin_model = pin.Model()
-    pin_model.gravity.linear = model.opt.gravity if _has_gravity(model) else np.zeros(3)
+    has_gravity = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    pin_model.gravity.linear = model.opt.gravity if has_gravity else np.zeros(3)
     placements = []
     for i, (joint, above) in enumerate(zip(joints, _joints_behind(model, joints), strict=True)):
         previous = frames[above] if above >= 0 else pin.SE3.Identity()
@@ -100,8 +102,11 @@ def build_pinocchio_model(
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}"
         pin_model.addJoint(above + 1, kind, placement, name)
         placements.append(placement.homogeneous)
-    pin_model = _with_followers(pin_model, joint_map)
-    support = pin_model.copy() if _is_lifted(model) else None
+    for k, (ratio, offset) in enumerate(zip(joint_map.ratio, joint_map.offset, strict=True)):
+        if k not in joint_map.leaders:  # a joint that follows another is Pinocchio's mimic joint
+            leader = int(joint_map.leaders[np.flatnonzero(ratio)[0]])
+            pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
+    support = pin_model.copy() if has_gravity and np.any(model.body_gravcomp) else None
     pin_model.armature = joint_map.ratio.T**2 @ model.dof_armature[joint_map.dof_adr]
 
     for body, owner in enumerate(last_joint_above(model, joints)):
@@ -138,23 +143,6 @@ def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
         before = [k for k, other in enumerate(joints[:i]) if model.jnt_bodyid[other] == body]
         behind.append(before[-1] if before else carried[int(model.body_parentid[body])])
     return behind
-
-
-def _with_followers(pin_model: pin.Model, joint_map: JointMap) -> pin.Model:
-    """The model with every joint that follows another as Pinocchio's mimic joint."""
-    for k, (ratio, offset) in enumerate(zip(joint_map.ratio, joint_map.offset, strict=True)):
-        if k not in joint_map.leaders:
-            leader = int(joint_map.leaders[np.flatnonzero(ratio)[0]])
-            pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
-    return pin_model
-
-
-def _is_lifted(model: mujoco.MjModel) -> bool:
-    return _has_gravity(model) and bool(np.any(model.body_gravcomp))
-
-
-def _has_gravity(model: mujoco.MjModel) -> bool:
-    return not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 
 
 def _joint_frame(anchor: Array, axis: Array) -> pin.SE3:

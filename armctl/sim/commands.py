@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
 from armctl.control import State
 from armctl.core.errors import InputError
@@ -30,7 +31,6 @@ from armctl.sim.move import ControlledArms, PlannedMove, plan_free, plan_move, p
 from armctl.sim.obstacles import Obstacles
 
 if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
     from armctl.render.video import Film
 
 
@@ -212,9 +212,6 @@ class Commands:
             angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
             **options: As for `move_l`.
 
-        Returns:
-            The result, as for `move_l`.
-
         Raises:
             InputError: As for `move_to`, or the points are on one line.
             SimulationError: As for `move_to`.
@@ -237,9 +234,6 @@ class Commands:
             path: Lines and arcs; a pose or a point is a line to it.
             blend: m, the radius around each corner in which it is rounded.
             **options: As for `move_l`.
-
-        Returns:
-            The result, as for `move_l`.
 
         Raises:
             InputError: As for `move_to`, or the path is empty.
@@ -335,7 +329,6 @@ class Commands:
         ends_at_target: bool = True,
         **speeds: Unpack[PathOptions],
     ) -> MoveResult:
-        """Moves along a given path, if it is free."""
         checker = self._checker(avoid, allow)
         planner = partial(planner, **speeds)
         return self._move(goal, partial(plan_move, self.arm, goal, planner, ends_at_target=ends_at_target, checker=checker))

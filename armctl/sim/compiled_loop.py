@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,16 +19,6 @@ from armctl.sim.recorder import TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
 _MAX_TICKS = 20_000  # of one call, which an interrupt cannot end
-
-
-class LoopEnd(NamedTuple):
-    """How a run of the compiled loop ended."""
-
-    row: int  # the last row that was begun
-    status: _core.TickStatus = _core.TickStatus.complete  # whether all ticks are complete, and if not, why
-    error: str = ""  # the message of MuJoCo, if it could not make a step
-    # q and v (n,) at the last row, if that tick was not completed and there are disturbances
-    measurement: tuple[Array, Array] | None = None
 
 
 class CompiledLoop:
@@ -70,7 +60,7 @@ class CompiledLoop:
         state: State,
         disturbances: Disturbances | None,
         sensor: WrenchSensor,
-    ) -> LoopEnd:
+    ) -> _core.TickEnd:
         """Completes the rows from the first that is not complete to the one before `last`, unless the run ends early."""
         law = controller.begin(state)
         arrays = {name: np.ascontiguousarray(column, dtype=np.float64) for name, column in rows.reference._asdict().items()} | {
@@ -80,14 +70,10 @@ class CompiledLoop:
             "torque_rows": rows.tau,
         }
         used_sensor = sensor if controller.needs_wrench else None
-        end = LoopEnd(rows.count)
-        was_called = False
+        end = _core.TickEnd(rows.count)
         while rows.count < last and end.status == _core.TickStatus.complete and not end.error:
-            ended = self._run_part(law, rows, arrays, min(last, rows.count + _MAX_TICKS), disturbances, used_sensor)
-            end = LoopEnd(ended.row, ended.status, ended.error)
-            was_called = ended.status == _core.TickStatus.not_finite
-            if was_called and disturbances is not None:
-                end = end._replace(measurement=(np.array(ended.q_seen), np.array(ended.v_seen)))
+            end = self._run_part(law, rows, arrays, min(last, rows.count + _MAX_TICKS), disturbances, used_sensor)
+        was_called = end.status == _core.TickStatus.not_finite
         controller.finish(self._data.time + (state.dt if was_called else 0.0))
         return end
 

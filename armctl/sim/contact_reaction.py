@@ -101,32 +101,17 @@ class ContactReaction:
         rest = TickReference.of(stop, dt, ticks, state.continuous)
         if ticks > row:
             run(controller, _rows(rest, row, ticks), recorder)
-        if self.reaction == "retreat":
-            self._retreat(controller, trajectory, stop, reached, recorder, run, state)
+        if self.reaction == "retreat":  # to where the motion was some time before the contact
+            begin = stop(stop.duration).q
+            goal = trajectory(max(reached - self.seconds, 0.0)).q
+            if np.abs(goal - begin).max() >= _SHORTEST_RETREAT:
+                back = move_j(self._arm, self._arm.limits.clamp(begin), goal)
+                ticks = int(np.ceil(back.duration / dt)) + 1
+                run(controller, TickReference.of(back, dt, ticks, state.continuous), recorder)
         elif self.reaction == "float" and self.seconds > 0.0:
             nothing = np.full((max(1, round(self.seconds / dt)), self._arm.n), np.nan)
             run(HandGuiding(self._arm), TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
         return f"contact at {self.time:.3f} s: {self.contact}"
-
-    def _retreat(
-        self,
-        controller: Controller,
-        trajectory: JointTrajectory,
-        stop: JointTrajectory,
-        reached: float,
-        recorder: Recorder,
-        run: _Run,
-        state: State,
-    ) -> None:
-        """Goes back to where the motion was some time before the contact."""
-        begin = stop(stop.duration).q
-        goal = trajectory(max(reached - self.seconds, 0.0)).q
-        if np.abs(goal - begin).max() < _SHORTEST_RETREAT:
-            return
-        back = move_j(self._arm, self._arm.limits.clamp(begin), goal)
-        run(
-            controller, TickReference.of(back, state.dt, int(np.ceil(back.duration / state.dt)) + 1, state.continuous), recorder
-        )
 
 
 class _Feeling:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -22,14 +23,7 @@ class Signals(NamedTuple):
 
 
 class Disturbances:
-    """Noise, delay and pushes of one run; every run of the same plant has the same ones.
-
-    Attributes:
-        push: (6,) N and N m, the wrench of the pushes in the last tick; both loops write it.
-        last_position: (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
-        delay: What delays the commands; both loops use it.
-        deflection: (2, n) of the springs, as measured at this tick.
-    """
+    """Noise, delay and pushes of one run; every run of the same plant has the same ones."""
 
     def __init__(
         self, plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, train: Drivetrain, pushed_arm: _core.ArmModel, dt: float
@@ -41,9 +35,7 @@ class Disturbances:
         self._data = data
         self._train = train
         self._pushed = pushed_arm.n
-        is_slide = np.array([unit == "m" for unit in train.actuation.units])
-        turn = np.where(is_slide, 1.0, 2 * np.pi)
-        self._step = turn / 2**plant.encoder_bits if plant.encoder_bits else None
+        self._step = encoder_steps(plant, train.actuation.units) if plant.encoder_bits else None
         longest = int(np.ceil((train.sensors.delay + train.sensors.interval).max() / dt))
         self._late: deque[Array] = deque(maxlen=plant.sensor_delay + longest + 2)
         self._jitter = np.random.default_rng([plant.seed, 1])
@@ -54,11 +46,12 @@ class Disturbances:
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
         self._timestep = float(model.opt.timestep)
-        self.push = np.zeros(6)
+        self.push = np.zeros(6)  # N and N m, the wrench of the pushes in the last tick; both loops write it
+        # (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
         # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
         self.last_position = np.full(n, np.nan) if plant.differences_positions else None
-        self.deflection = np.zeros((2, n))
-        self.delay = _core.Delay(n, plant.delay)
+        self.deflection = np.zeros((2, n))  # of the springs, as measured at this tick
+        self.delay = _core.Delay(n, plant.delay)  # of the commands; both loops use it
         self.delay.restart(plant.delay)
         self._rng = np.random.default_rng(plant.seed)
         self._last_noise = np.zeros(n)
@@ -166,6 +159,12 @@ class Disturbances:
         for push in self._pushes:
             wrenches[(push.start <= times) & (times < push.start + push.duration)] += push.wrench
         return wrenches
+
+
+def encoder_steps(plant: Plant, units: Sequence[str]) -> Array:
+    """(n,) rad (m), the steps of a plant's encoders; 0 for exact positions."""
+    turn = np.where(np.asarray(units) == "m", 1.0, 2 * np.pi)
+    return turn * (0.5**plant.encoder_bits if plant.encoder_bits else 0.0)
 
 
 def tick_times(start: float, ticks: int, steps: int, timestep: float) -> Array:

@@ -276,7 +276,6 @@ def per_joint(name: str, value: object, n: int) -> Array:
 
 
 def motors_of(model: mujoco.MjModel, actuation: Actuation) -> list[int]:
-    """The actuators of the joints."""
     owner = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)
     return owner[actuation.ctrl_adr].tolist()
 

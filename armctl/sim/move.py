@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.collision.clearance import clearance_of
 from armctl.control import Controller, State, controller_by_name, controller_name
 from armctl.core import hooks
@@ -31,9 +31,6 @@ from armctl.sim.drive import Drive
 from armctl.sim.recorder import Recorder, RunInfo, ticks_for
 from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 _SETTLE_TIMEOUT_S = 1.0  # for the arm to come to rest after a motion
 SETTLE_CHECK_INTERVAL_S = 0.02
@@ -175,7 +172,8 @@ class ControlledArms:
             hold = drive.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + _SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:
-                if all(self._is_still(tip) and moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories):
+                still = all(drive.is_still(self._slices[tip]) for tip in trajectories)
+                if still and all(moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories):
                     break
                 drive.run(self._controller, hold, recorder)
         duration = float(drive.data.time - begin)
@@ -240,6 +238,10 @@ class ControlledArms:
             info = self._run_info(name, duration, targets.get(tip, NO_TARGET), started, error)
             self._logs[tip] = recorder.log(arm, info, self._slices[tip], self._wrenches[tip])
         self._give_log(error)
+        self._check_logs()
+
+    def _check_logs(self) -> None:
+        """Called after a run has new logs."""
 
     def _run_info(
         self, controller: str, duration: float, target: Array, started: float, error: BaseException | None
@@ -275,9 +277,6 @@ class ControlledArms:
                 row[:, self._slices[tip]] = column
         return rows
 
-    def _is_still(self, tip: str) -> bool:
-        return self.drive.is_still(self._slices[tip])
-
     def _reason(self, tip: str, move: PlannedMove) -> str:
         """Why a move that ran is not ok; empty if it is."""
         reason = move.refusal or self.drive.failure
@@ -287,7 +286,7 @@ class ControlledArms:
             off = above_text(position_error, move.target.tolerance)
             reason = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
             reason = "; ".join([reason, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
-        if not reason and not self._is_still(tip):
+        if not reason and not self.drive.is_still(self._slices[tip]):
             reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
         if reason and not move.refusal and isinstance(self.drive, Stepper):
             q = self.drive.q_ref[self._slices[tip]]

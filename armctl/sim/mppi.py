@@ -174,11 +174,7 @@ class MPPI:
         self._model = model
 
     def plan(self) -> JointTrajectory:
-        """Plans from the present state.
-
-        Returns:
-            The motion of the next interval, which begins with the position and velocity at the end of the last one.
-        """
+        """Plans the motion of the next interval, which begins with the position and velocity at the end of the last one."""
         horizon, axes = self._mean.shape
         self._mean = np.vstack([self._mean[1:], self._mean[-1:]])
         noise = self._rng.normal(size=(self._samples, horizon, axes))

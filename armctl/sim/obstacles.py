@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import collision_checker, read_pairs
 from armctl.core.validation import Array
 from armctl.mjmodel.queries import body_name
 from armctl.robot.arm import Arm
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 _KEPT_CHECKERS = 4  # of the last scenes: building one takes longer than planning in it
 _SAME_M = 1e-6  # rad, m: a smaller displacement is no new scene

@@ -20,7 +20,7 @@ from armctl.mjmodel.queries import actuator_name, is_on_joint
 from armctl.mjmodel.spring_joints import spring_joints
 from armctl.robot.arm import Arm
 from armctl.sim.drivetrain import Drivetrain, apply_drivetrain, drivetrain_of, finish_drivetrain, new_model
-from armctl.sim.plant_attribute import Kind, PlantAttribute, attributes_of, number_text, plant_attribute
+from armctl.sim.plant_attribute import Kind, attributes_of, number_text, plant_attribute
 
 # Runge-Kutta is stable up to steps of 2.8 time constants of the fastest damped joint; one time constant keeps it accurate.
 _CONTINUOUS_STEP_S = 2e-4
@@ -233,20 +233,15 @@ class Plant:
         instance("name", self.name, str, "'worn gears' is one")
 
     def __str__(self) -> str:
-        return self.name or ", ".join(self._differences()) or "nominal"
-
-    def _differences(self) -> list[str]:
-        return [
+        differences = [
             attribute.describe(getattr(self, name))
             for name, attribute in PLANT_ATTRIBUTES.items()
-            if attribute.phrase and self._differs(name) and self._matters(attribute)
+            if attribute.phrase and self._differs(name) and any(map(self._differs, attribute.only_with or [name]))
         ]
+        return self.name or ", ".join(differences) or "nominal"
 
     def _differs(self, name: str) -> bool:
         return PLANT_ATTRIBUTES[name].differs(getattr(self, name))
-
-    def _matters(self, attribute: PlantAttribute) -> bool:
-        return not attribute.only_with or any(self._differs(name) for name in attribute.only_with)
 
     @property
     def key(self) -> tuple[object, ...]:

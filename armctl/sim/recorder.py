@@ -97,7 +97,6 @@ class Recorder:
         return bool(self._parts)
 
     def begin(self, reference: TickReference) -> TickRows:
-        """New rows, one for each row of a reference."""
         rows = TickRows(reference, self._model.nq, self._actuation.n)
         self._parts.append(rows)
         return rows

@@ -44,7 +44,12 @@ def simulate(
     dwell = number("dwell", dwell, 0.0)
     start = trajectory(0.0)
     idle = _idle.setdefault(arm, [])
-    stepper = _with_plant(idle, arm, plant)
+    try:
+        stepper = idle.pop()
+    except IndexError:
+        stepper = Stepper([arm], plant)
+    if stepper.plant.key != plant.key:
+        stepper.set_plant(plant, [arm])
     try:
         arms = SimulatedArms([arm], {arm.tip: law}, stepper)
         arms.reset(start.q, start.v)
@@ -54,14 +59,3 @@ def simulate(
         while len(idle) > _IDLE_PER_ARM:
             with suppress(IndexError):  # another thread may have taken it
                 idle.pop(0)
-
-
-def _with_plant(idle: list[Stepper], arm: Arm, plant: Plant) -> Stepper:
-    """An idle simulation with this plant, or a new one."""
-    try:
-        stepper = idle.pop()
-    except IndexError:
-        return Stepper([arm], plant)
-    if stepper.plant.key != plant.key:
-        stepper.set_plant(plant, [arm])
-    return stepper

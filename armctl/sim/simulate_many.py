@@ -24,13 +24,9 @@ _QUEUED_PER_THREAD = 4  # runs that wait for a thread; more results would have t
 
 
 class Run(NamedTuple):
-    """One run of many. As the arguments of `simulate`.
+    """One run of many. As the arguments of `simulate`."""
 
-    Attributes:
-        controller: A controller; runs with the same one do not share its memory.
-    """
-
-    controller: Controller
+    controller: Controller  # runs with the same one do not share its memory
     trajectory: Trajectory
     plant: Plant
 
@@ -101,7 +97,7 @@ def run_many(
 
     It is called in the thread of the run; a log of which nothing is kept is freed at once.
     """
-    threads = _processors() if threads is None else integer("threads", threads, 1)
+    threads = processors() if threads is None else integer("threads", threads, 1)
 
     def result(run: Run) -> _Result:
         law = run.controller.fresh() if has_compiled_law(run.controller, arm.n) else run.controller
@@ -135,5 +131,6 @@ def _simulated(arm: Arm, run: Run, dwell: float) -> Log:
         return error.log
 
 
-def _processors() -> int:
+def processors() -> int:
+    """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

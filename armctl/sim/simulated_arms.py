@@ -12,15 +12,26 @@ from numpy.typing import ArrayLike
 from armctl.control import Controller, State, controller_name
 from armctl.core.errors import ArmctlWarning
 from armctl.core.log import Log
-from armctl.core.trajectory import TickReference
+from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
-from armctl.sim.constant_torque import ConstantTorque
 from armctl.sim.move import NO_TARGET, ControlledArms
-from armctl.sim.recorder import Recorder, TickRows
+from armctl.sim.recorder import TickRows
 from armctl.sim.stepper import Stepper
 
 _STEP_ROWS = 1024  # ticks for which memory is allocated at once while a caller steps
+
+
+class ConstantTorque:
+    """A controller that returns the same torque, (n,) N m, at every tick, for open-loop runs."""
+
+    name = "constant"
+
+    def __init__(self, tau: Array):
+        self.tau = tau
+
+    def torque(self, state: State, setpoint: Setpoint) -> Array:
+        return self.tau
 
 
 class SimulatedArms(ControlledArms):
@@ -33,7 +44,6 @@ class SimulatedArms(ControlledArms):
 
     @property
     def logs(self) -> dict[str, Log]:
-        """The log of each arm's last run; empty before the first."""
         if self._steps is not None and self._steps.recorder.size != self._steps.logged:
             self._keep_step_logs(self._steps)
         return self._logs
@@ -60,25 +70,11 @@ class SimulatedArms(ControlledArms):
             raise
         return self.stepper.measured_state
 
-    def _keep_logs(
-        self,
-        recorder: Recorder,
-        durations: Mapping[str, float],
-        targets: Mapping[str, Array],
-        started: float,
-        error: BaseException | None,
-        controller: Controller | None = None,
-    ) -> None:
-        if recorder.has_begun:
-            self._steps = None
-        super()._keep_logs(recorder, durations, targets, started, error, controller)
-        if recorder.has_begun and self.stepper.plant.wrench_source == "flange":
-            self._warn_of_unmeasured_forces()
-
-    def _warn_of_unmeasured_forces(self) -> None:
+    def _check_logs(self) -> None:
         """Warns if a link touched something in front of a sensor: its controller knows only a part of the force."""
+        self._steps = None
         for log in self._logs.values():
-            if log.unmeasured_bodies:
+            if log.unmeasured_bodies and self.stepper.plant.wrench_source == "flange":
                 bodies = ", ".join(log.unmeasured_bodies)
                 warnings.warn(
                     f"{log.robot}: the flange sensor does not measure the force on {bodies:.80}, which touched something "

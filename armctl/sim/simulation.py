@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from armctl.control import ComputedTorque, Controller, State
 from armctl.core import hooks
+from armctl.core.errors import LimitError
 from armctl.core.log import Log
 from armctl.core.other_names import with_hints
 from armctl.core.trajectory import TickReference
@@ -16,14 +17,15 @@ from armctl.core.validation import flag, instance, number, vector
 from armctl.loading.load import load
 from armctl.robot.arm import Arm
 from armctl.sim.commands import Commands
-from armctl.sim.constant_torque import constant_controls
 from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.gripper.gripper import Gripper
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
 from armctl.sim.recorder import ticks_for
-from armctl.sim.simulated_arms import SimulatedArms
+from armctl.sim.simulated_arms import ConstantTorque, SimulatedArms
 from armctl.sim.stepper import Stepper
+
+_CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 
 
 class Simulation(Commands):
@@ -126,7 +128,7 @@ class Simulation(Commands):
         self._arms.reset(q, v)
 
     def step(self, torque: ArrayLike | None = None) -> State:
-        """Simulates one tick, for control loops of the caller, such as MPC, teleoperation or learning.
+        """Simulates one tick and measures, for control loops of the caller, such as MPC, teleoperation or learning.
 
         The torque is processed like that of a controller: limited by the motors, delayed and disturbed by the plant, recorded
         in `log` and shown by the viewer. A loop of `sim.step(controller.torque(sim.measured_state, setpoint))` gives the same
@@ -135,9 +137,6 @@ class Simulation(Commands):
         Args:
             torque: (n,) N m; None lets the controller hold the last reference. After a step with a torque, that is the
                 position of the arm.
-
-        Returns:
-            The measured state after the tick.
 
         Raises:
             SimulationError: The arm diverged, or the controller failed; `error.log` contains the steps until then.
@@ -157,7 +156,14 @@ class Simulation(Commands):
         Raises:
             LimitError: A control outside its motor's range.
         """
-        constant = constant_controls(self.arm, ctrl)
+        arm = self.arm
+        checked = vector("ctrl", ctrl, arm.n)
+        bound = arm.limits.tau_max / np.abs(arm.gear)
+        outside = np.abs(checked) > bound * (1 + _CONTROL_TOLERANCE)
+        if outside.any():
+            i = int(outside.argmax())
+            raise LimitError(f"ctrl: {arm.joint_names[i]}: {checked[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
+        constant = ConstantTorque(checked * arm.gear)
         seconds = number("seconds", seconds, 0.0)
         nothing = np.full((ticks_for(seconds, self.dt), self.arm.n), np.nan)
         with self._arms.recording({self.arm.tip: seconds}, controller=constant) as recorder:

@@ -148,12 +148,10 @@ class Stepper:
         return f"{self.failure}; call reset() to start again" if self.diverged else ""
 
     def is_still(self, joints: slice) -> bool:
-        """Whether some of the joints are at rest."""
         return bool(np.abs(self._train.link_speeds(self.data.qvel)[joints]).max() < AT_REST_SPEED)
 
     @property
     def state(self) -> State:
-        """The true state of all arms now."""
         q = self._train.link_positions(self.data.qpos)
         v = self._train.link_speeds(self.data.qvel)
         wrench = self._wrench_sensor.read(self._push)
@@ -166,12 +164,12 @@ class Stepper:
         if self._disturbances is not None:
             q, v = self._measure(state.q, state.v)
             state = state._replace(q=q, v=v, deflection=self._disturbances.deflection)
-        return state._replace(wrench=self._measured_wrench(state))
+        return state._replace(wrench=self._wrench_sensor.measure(self._push, state, self.motor_torque))
 
     @property
     def motor_torque(self) -> Array:
         """(n,) N m, the torque of the motors in the last tick."""
-        return self._gathered_torque()
+        return self.data.qfrc_actuator[self._drives] * self.actuation.torque_share
 
     def tip_pose(self, arm: Arm) -> Pose:
         """The pose of an arm's tip in the simulation now, T_world_tip."""
@@ -217,7 +215,6 @@ class Stepper:
             self.data.eq_active[:] = self.model.eq_active0
 
     def recorder(self) -> Recorder:
-        """A recorder for a run."""
         return Recorder(self.model, self.actuation, self._reference_tips, self._train)
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
@@ -231,7 +228,6 @@ class Stepper:
         return reference
 
     def hold_reference(self, seconds: float) -> TickReference:
-        """A reference that stays where the last one ended, for at least one tick."""
         still = np.zeros((max(1, round(seconds / self.dt)), self.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
@@ -302,12 +298,14 @@ class Stepper:
         end = self._compiled.run(controller, rows, last, self.state, self._disturbances, self._wrench_sensor)
         reached = rows.reference.q[end.row]
         self.q_ref = reached if np.isfinite(reached).all() else self.state.q
-        self._measurement = end.measurement
+        self._measurement = None
         if end.error:
             raise mujoco.FatalError(end.error)
         if end.status == _core.TickStatus.diverged:
             self._diverge(rows.v[end.row])
         elif end.status == _core.TickStatus.not_finite:
+            if self._disturbances is not None:
+                self._measurement = (np.array(end.q_seen), np.array(end.v_seen))
             self.failure = f"the controller gave no finite torque at {self.data.time:.3f} s"
 
     def _run_python_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:  # noqa: PLR0915  # locals are fast
@@ -353,7 +351,8 @@ class Stepper:
                 q = read_only(self._train.link_positions(qpos)) if q_seen_rows is None else q_seen_rows[row]
                 q_seen, v_seen = (q, v) if disturbances is None else self._measure(q, v)
                 if sensor is not None and wrench_rows is not None:
-                    wrench = self._measured_wrench(State(q_seen, v_seen, data.time, dt, continuous))
+                    seen = State(q_seen, v_seen, data.time, dt, continuous)
+                    wrench = sensor.measure(self._push, seen, self.motor_torque)
                     wrench_rows[row] = sensor.true
                 if needs_deflection:
                     late = self._train.deflection(data) if disturbances is None else disturbances.deflection
@@ -377,25 +376,17 @@ class Stepper:
                     data.ctrl[self._motors] = driven / self.actuation.gear
                     self._measurement = None
                 mj_step(model, data, substeps)
-                torque_rows[row] = self._gathered_torque() if motor_torque is None else motor_torque
+                torque_rows[row] = self.motor_torque if motor_torque is None else motor_torque
                 if data.ncon or touching:
-                    touching = self._noted_contacts(rows, row, touching)
+                    before = touching
+                    touching = data.contact.geom.tobytes()
+                    if touching != before:
+                        rows.contacts.append((row, touching))
                 count = row + 1
         finally:
             rows.count = count
             reached = rows.reference.q[row]
             self.q_ref = reached if hypot(*reached.tolist()) < inf else self.state.q
-
-    def _noted_contacts(self, rows: TickRows, row: int, before: bytes) -> bytes:
-        """The geoms that touch now, as bytes; noted if they are not those of the tick before."""
-        touching = self.data.contact.geom.tobytes()
-        if touching != before:
-            rows.contacts.append((row, touching))
-        return touching
-
-    def _gathered_torque(self) -> Array:
-        """(n,) N m, what the motors do, where MuJoCo's numbers are not consecutive or have to be scaled."""
-        return self.data.qfrc_actuator[self._drives] * self.actuation.torque_share
 
     def _measure(self, q: Array, v: Array) -> tuple[Array, Array]:
         """The measurement of this tick; `measured_state` may have made it already."""
@@ -407,10 +398,6 @@ class Stepper:
     @property
     def _push(self) -> Array | None:
         return None if self._disturbances is None else self._disturbances.push
-
-    def _measured_wrench(self, state: State) -> Array:
-        """The wrenches as the plant's sensors measure them at this tick, beside the measured state."""
-        return self._wrench_sensor.measure(self._push, state, self._gathered_torque())
 
     def _controller_failed(self, controller: Controller, error: Exception) -> SimulationError:
         cause: BaseException | None = error

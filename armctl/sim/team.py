@@ -84,10 +84,7 @@ class Team:
         return self._arms.logs
 
     def tip(self, name: str) -> Pose:
-        """The pose of a simulated tip now.
-
-        Returns:
-            T_world_tip.
+        """The pose of a simulated tip now, T_world_tip.
 
         Raises:
             UnknownNameError: There is no such tip.

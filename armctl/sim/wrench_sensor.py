@@ -36,9 +36,6 @@ class WrenchSensor:
     A true wrench is the sum of all contacts, connections and pushes on the bodies behind the arm's last joint; an ideal flange
     sensor measures it, with weight and inertia of the tool compensated. MuJoCo computes it during a step: the wrench at a tick
     is that of the previous step.
-
-    Attributes:
-        true: (6 k,) the true wrenches at the last call of `read` or `measure`.
     """
 
     def __init__(
@@ -58,12 +55,11 @@ class WrenchSensor:
         self._has_noise = bool(plant.force_noise or plant.moment_noise)
         self._is_sampled = self._has_noise or bool(plant.wrench_delay) or plant.wrench_source == "torques"
         self._tips: list[_core.WrenchSensor] = []
-        self.true = np.zeros(WRENCH_SIZE * len(arms))
+        self.true = np.zeros(WRENCH_SIZE * len(arms))  # the true wrenches at the last call of `read` or `measure`
         self.reset()
 
     @property
     def arms(self) -> int:
-        """The number of arms."""
         return len(self._sites)
 
     def reset(self) -> None:

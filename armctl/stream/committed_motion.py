@@ -10,8 +10,8 @@ import numpy as np
 from armctl.core.validation import Array
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.motion.torque_limits import InverseDynamics
-from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE, each_inside, is_inside
-from armctl.motion.trajectory.piecewise import Pieces, basis, hermite, joined, sample
+from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE, each_inside, is_inside
+from armctl.motion.trajectory.piecewise import Pieces, Samples, basis, hermite, joined, quintics, sample
 from armctl.robot.arm import Arm
 from armctl.stream.timed_targets import Knots
 
@@ -84,18 +84,37 @@ class CommittedMotion:
     def _motion(self, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
         """Through the wanted states in time as far as that is inside the limits; then the fastest motion that rejoins them."""
         if solver is self._solvers[0]:
-            for followed in knots.joins:
-                t = np.concatenate([[0.0], knots.t[followed] - now])
-                smooth = hermite(t, *(np.vstack([x, rows[followed]]) for x, rows in zip(start, knots[1:4], strict=True)))
-                inside = each_inside(smooth, self._limits)
-                count = len(inside) if inside.all() else int(inside.argmin())
-                if count == len(inside) or (count and followed.stop is None):
-                    kept = Pieces(t[: count + 1], smooth.coefficients[:count])
-                    after = len(knots.t) if followed.stop else followed.start + count
-                    motion = self._rejoining(solver, start, now, knots, [kept], after)
-                    if motion is not None:
-                        return motion
+            for followed, after in self._followed(start, now, knots):
+                motion = self._rejoining(solver, start, now, knots, [followed], after)
+                if motion is not None:
+                    return motion
         return self._rejoining(solver, start, now, knots, [], 0)
+
+    def _followed(self, start: JointState, now: float, knots: Knots) -> Iterator[tuple[Pieces, int]]:
+        """Smooth ways to and along the wanted states, as far as they keep the limits, each with the number of the next one."""
+        t = knots.t - now
+        states = Samples(*knots[1:4])
+        first = np.array([join.start for join in knots.joins], dtype=np.int64)
+        starts = Samples(*(np.tile(x, (len(first), 1)) for x in start))
+        joining = quintics(t[first], starts, Samples(*(x[first] for x in states)))
+        gentle = np.abs(6.0 * joining[:, 3]) <= (1 + RATIO_TOLERANCE) * self._limits.j_max  # the jerk at the start
+        possible = np.flatnonzero(gentle.all(axis=1))
+        if not len(possible):
+            return
+        # All ways share what follows, and many pieces are checked in hardly more time than one.
+        following = hermite(t, *states).coefficients
+        steps = np.concatenate([t[first[possible]], np.diff(t)])
+        inside = each_inside(np.concatenate([joining[possible], following]), steps, self._limits)
+        for k in possible[inside[: len(possible)]]:
+            join = knots.joins[k]
+            last = int(first[k]) + 1
+            end = len(t) if join.stop is None else min(join.stop, len(t))
+            while last < end and inside[len(possible) + last - 1]:
+                last += 1
+            if join.stop is None or last == end:
+                coefficients = np.concatenate([joining[k : k + 1], following[first[k] : last - 1]])
+                followed = Pieces(np.append(0.0, t[first[k] : last]), coefficients)
+                yield followed, last if join.stop is None else len(t)
 
     def _rejoining(
         self, solver: ProfileSolver, start: JointState, now: float, knots: Knots, parts: list[Pieces], first: int
@@ -152,12 +171,18 @@ class CommittedMotion:
         reason = "" if self.refusal is None else self.refusal(pieces)
         return Refused(np.inf, reason) if reason else None
 
+    def _touches(self, q: Array) -> bool:
+        return self.checker is not None and self.checker.hit(q, _CLEARANCE_M) >= 0
+
     def _before(self, refused: Refused, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
         """The longest of some beginnings of the motion that end at rest and are not refused; None if there is none."""
         self.obstacle = refused.reason
         for shorter in _shorter(knots, start, int(np.searchsorted(knots.t - now, refused.time))):
+            # Contact first, because it takes a hundredth of the time.
+            if (shorter.rest != start.q).any() and self._touches(shorter.rest):
+                continue
             pieces = self._motion(solver, start, now, shorter)
-            if pieces is not None and self._is_feasible(pieces) and self._refused(pieces) is None:
+            if pieces is not None and self._refused(pieces) is None and self._is_feasible(pieces):
                 return pieces
         return None
 

@@ -183,7 +183,8 @@ def factor_table(factor: Factor) -> Any:
     """The inverse of `read_factor`, as plain data."""
     if not isinstance(factor, Random):
         return list(factor)
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in vars(factor).items() if _is_plain(value)}
+    plain = {key: list(value) if isinstance(value, tuple) else value for key, value in vars(factor).items()}
+    return {key: value for key, value in plain.items() if not isinstance(value, float) or math.isfinite(value)}
 
 
 def design_points(factors: Mapping[str, Factor], samples: int, sampling: str, seed: int) -> list[Point]:
@@ -228,7 +229,3 @@ def _plain(name: str, value: Any) -> Value:
         return tuple(vector(name, value).tolist())
     checked = number(name, value)
     return int(value) if isinstance(value, (int, np.integer)) else checked
-
-
-def _is_plain(value: Any) -> bool:
-    return not isinstance(value, float) or math.isfinite(value)

@@ -179,7 +179,6 @@ def _digest(*parts: str) -> str:
 
 
 def _robot(value: Any) -> dict[str, Any]:
-    """The arguments of `load`."""
     robot = dict(value) if isinstance(value, Mapping) else {"robot": value}
     for name, each in robot.items():
         if isinstance(each, os.PathLike):

@@ -318,21 +318,8 @@ class StudyResult(Verdict):
 
 def study_result(study: StudyPlan, outcomes: Mapping[str, Outcome]) -> StudyResult:
     """The result of a study from the outcomes of its runs, by key."""
-    rows = [(number, run, outcomes[run.key]) for number, run in enumerate(study.runs) if run.key in outcomes]
-    return _with_columns(study, len(study.runs), _columns(study, rows))
-
-
-def _with_columns(study: StudyPlan, total: int, columns: Mapping[str, np.ndarray]) -> StudyResult:
-    missing = total - len(columns["run"])
-    reason = f"{missing} of {total} runs are not finished" if missing else ""
-    return StudyResult(not missing, reason, study, columns)
-
-
-def _columns(study: StudyPlan, rows: Sequence[tuple[int, Run, Outcome]]) -> dict[str, np.ndarray]:
-    """The table by columns, from the number, the run and the outcome of each row."""
-    runs = [run for _, run, _ in rows]
-    outcomes = [outcome for _, _, outcome in rows]
-    numbers = np.array([number for number, _, _ in rows], dtype=np.int64)
+    numbers = np.array([number for number, run in enumerate(study.runs) if run.key in outcomes], dtype=np.int64)
+    runs = [study.runs[number] for number in numbers]
     columns: dict[str, Any] = {
         "run": numbers,
         "pair": numbers // len(study.controllers),
@@ -343,9 +330,15 @@ def _columns(study: StudyPlan, rows: Sequence[tuple[int, Run, Outcome]]) -> dict
     columns["repeat"] = np.array([run.repeat for run in runs], dtype=np.int64)
     columns["seed"] = np.array([run.seed for run in runs], dtype=np.int64)
     for name in ("ok", "completed", "reason", *FIGURES, "contacts", "digest"):
-        columns[name] = [outcome[name] for outcome in outcomes]
+        columns[name] = [outcomes[run.key][name] for run in runs]
     columns["key"] = [run.key for run in runs]
-    return {name: _column(name, values) for name, values in columns.items()}
+    return _with_columns(study, len(study.runs), {name: _column(name, values) for name, values in columns.items()})
+
+
+def _with_columns(study: StudyPlan, total: int, columns: Mapping[str, np.ndarray]) -> StudyResult:
+    missing = total - len(columns["run"])
+    reason = f"{missing} of {total} runs are not finished" if missing else ""
+    return StudyResult(not missing, reason, study, columns)
 
 
 def _column(name: str, values: Any) -> np.ndarray:

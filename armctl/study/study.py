@@ -18,10 +18,10 @@ from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlError, ArmctlWarning, InputError
 from armctl.core.progress import progress_bar
 from armctl.core.validation import flag, instance, shown
+from armctl.sim.simulate_many import processors
 from armctl.study.bench import (
     CONTROLLER_FACTOR,
     FIGURES,
-    Bench,
     Outcome,
     Run,
     failed_outcome,
@@ -42,13 +42,6 @@ _MAX_PENDING = 256  # chunks that are handed out at a time, which bounds the mem
 Note = Callable[[Sequence[Run], Sequence[Outcome], bool], None]  # runs, outcomes, and whether they are final
 _BUSY_S = 30.0  # how long to wait for another program that writes the same file
 _KEYS_PER_QUERY = 500
-
-
-def execute_here(bench: Bench, runs: Sequence[Run], note: Note) -> None:
-    """Makes runs on all cores, in threads of this process: the compiled tick loop does not hold Python's lock."""
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    with ThreadPoolExecutor(processors) as threads:
-        execute(bench.outcomes, runs, threads, note)
 
 
 def execute(work: Callable[[Sequence[Run]], list[Outcome]], runs: Sequence[Run], executor: Executor, note: Note) -> None:
@@ -73,7 +66,7 @@ def execute(work: Callable[[Sequence[Run]], list[Outcome]], runs: Sequence[Run],
                 elif len(chunk) > 1:  # one of these runs may end its worker: find out which
                     waiting.extendleft([run] for run in chunk)
                 else:
-                    note(chunk, [_lost(error)], False)
+                    note(chunk, [failed_outcome(f"its worker failed ({type(error).__name__}: {error!s:.200})")], False)
     except (BrokenExecutor, CancelledError) as error:
         why = f"{type(error).__name__}: {error!s:.120}"
         raise ArmctlError(f"the executor has stopped ({why}); run the study again to make the runs that remain") from None
@@ -87,10 +80,6 @@ def _chunks(runs: Sequence[Run]) -> Iterator[Sequence[Run]]:
     size = min(max(_MIN_CHUNK, ceil(len(runs) / _CHUNKS_OF_SMALL_STUDY)), _MAX_CHUNK)
     for first in range(0, len(runs), size):
         yield runs[first : first + size]
-
-
-def _lost(error: BaseException) -> Outcome:
-    return failed_outcome(f"its worker failed ({type(error).__name__}: {error!s:.200})")
 
 
 class Study(StudyPlan):
@@ -166,27 +155,22 @@ class Study(StudyPlan):
                     if progress:
                         bar.update(len(runs))
 
-                if executor is None:
-                    execute_here(self.bench, todo, note)
+                if executor is None:  # the compiled tick loop does not hold Python's lock
+                    with ThreadPoolExecutor(processors()) as threads:
+                        execute(self.bench.outcomes, todo, threads, note)
                 else:
                     execute(partial(run_chunk, json.dumps(self.setup)), todo, executor, note)
-            return self._result(store)
+            return study_result(self, store.outcomes(self.runs))
 
     def result(self, folder: str | os.PathLike[str] = ".") -> StudyResult:
-        """The results of the runs that are finished, without making any.
-
-        Returns:
-            The results; not `ok` if runs are missing.
+        """The results of the runs that are finished, without making any; not `ok` if runs are missing.
 
         Raises:
             InputError: The file is none of a study.
             ArmctlError: The file cannot be used.
         """
         with self._store(folder) as store:
-            return self._result(store)
-
-    def _result(self, store: Store) -> StudyResult:
-        return study_result(self, store.outcomes(self.runs))
+            return study_result(self, store.outcomes(self.runs))
 
     def _store(self, folder: str | os.PathLike[str]) -> Store:
         instance("folder", folder, (str, os.PathLike), "give the name of a folder")

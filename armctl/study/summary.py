@@ -101,7 +101,9 @@ def summarize(
         own = columns["controller"] == label
         differences = {}
         if label != labels[0]:
-            mine, others = _paired(columns["pair"][own], columns["pair"][first])
+            # Where the runs are that have the same point and repetition.
+            pairs = (columns["pair"][own], columns["pair"][first])
+            _, mine, others = np.intersect1d(*pairs, assume_unique=True, return_indices=True)
             for metric in metrics:
                 change = paired_differences(columns[metric][own][mine], columns[metric][first][others])
                 differences[metric] = median(change)
@@ -116,12 +118,6 @@ def summarize(
             )
         )
     return tuple(found)
-
-
-def _paired(pairs: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the runs are that have the same point and repetition."""
-    _, mine, theirs = np.intersect1d(pairs, others, assume_unique=True, return_indices=True)
-    return mine, theirs
 
 
 @dataclass(frozen=True)

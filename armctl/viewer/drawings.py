@@ -31,7 +31,7 @@ class TipTrail:
     def __init__(self, scene: viser.SceneApi, position: Array, root: str):
         """A trail of no length, at the tip's position (3,) m, below the scene node `root`."""
         self._segments = np.empty((_SEGMENTS, 2, 3), np.float32)
-        self._start_at(position)
+        self._segments[:] = position
         self._has_changed = False
         self._line = scene.add_line_segments(
             f"{root}/trail", self._segments, _TRAIL_RGB, thickness=_THICKNESS_PX, thickness_units="screen"
@@ -45,7 +45,7 @@ class TipTrail:
             return
         self._has_changed = True
         if step > _MAX_STEP_M:
-            self._start_at(position)
+            self._segments[:] = position
             return
         self._segments = np.roll(self._segments, -1, axis=0)
         self._segments[-1] = last, position
@@ -54,9 +54,6 @@ class TipTrail:
         if self._has_changed:
             self._has_changed = False
             self._line.points = self._segments.copy()
-
-    def _start_at(self, position: Array) -> None:
-        self._segments[:] = position
 
 
 class ContactArrows:

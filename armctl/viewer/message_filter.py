@@ -116,10 +116,8 @@ def limited_value(control: object, value: object) -> bool | float | str | list[f
         return value if isinstance(value, str) and value in control.options else None
     if isinstance(control, viser.GuiSliderHandle):
         return min(max(float(value), control.min), control.max) if _is_finite(value) else None
-    if isinstance(control, viser.GuiVector3Handle):
-        if isinstance(value, list) and len(value) == 3 and all(map(_is_finite, value)):
-            return [_limited_coordinate(number) for number in value]
-        return None
+    if isinstance(control, viser.GuiVector3Handle) and isinstance(value, list) and len(value) == 3:
+        return [_limited_coordinate(number) for number in value] if all(map(_is_finite, value)) else None
     return None
 
 

@@ -159,7 +159,9 @@ class Page:
         def load(name: str) -> None:
             self._notice = f"loading the scene {name} ..."
             try:
-                self._loaded.put(self._standing_sessions(name))
+                sessions = [RealTimeSession(arm, self._controller) for arm in self._scenes[name]()]
+                sessions[0].prepare()
+                self._loaded.put(sessions)
                 self._scene_name = name
                 self._notice = ""
             except Exception as error:
@@ -174,11 +176,6 @@ class Page:
                 self._loader.submit(lambda: load(name))
 
         chosen.on_update(choose)
-
-    def _standing_sessions(self, scene: str) -> list[RealTimeSession]:
-        sessions = [RealTimeSession(arm, self._controller) for arm in self._scenes[scene]()]
-        sessions[0].prepare()
-        return sessions
 
     def _replace(self, sessions: Sequence[RealTimeSession]) -> None:
         before = self._controls

@@ -63,18 +63,15 @@ def listen(port: int, host: str | None) -> socket.socket:
     last = port if host is not None or port == 0 else min(port + _MAX_PORTS_TRIED, 65535)
     while True:
         try:
-            return _listen_at(LOCAL if host is None else host, port)
+            address_of = LOCAL if host is None else host or None
+            addresses = socket.getaddrinfo(address_of, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            family, _, _, _, address = addresses[0]
+            return socket.create_server(address[:2], family=family)
         except OSError as error:
             if port >= last:
                 name = "port" if host is None else "host"
                 raise InputError(f"{name}: cannot listen at {host or LOCAL}:{port} ({error.strerror or error})") from None
             port += 1
-
-
-def _listen_at(host: str, port: int) -> socket.socket:
-    addresses = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    family, _, _, _, address = addresses[0]
-    return socket.create_server(address[:2], family=family)
 
 
 class _Connections:

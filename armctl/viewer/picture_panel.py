@@ -6,16 +6,16 @@ import io
 import logging
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from armctl.core.errors import ArmctlError
 from armctl.core.latest_worker import LatestWorker
-from armctl.core.validation import Array
 from armctl.render.renderer import Renderer
 from armctl.render.video import pose, write_mp4
+from armctl.robot.arm import Arm
 from armctl.sim.realtime.session import RealTimeSession
 from armctl.sim.realtime.status import Status
 
@@ -33,18 +33,6 @@ _STOP = "stop and download"
 _log = logging.getLogger("armctl.viewer")
 
 
-class _Moment(NamedTuple):
-    """What a picture shows: positions (nq,), and position and quaternion (7,) of the target, at a simulated time."""
-
-    elapsed: float
-    qpos: Array
-    target: Array
-
-    @classmethod
-    def of(cls, status: Status) -> _Moment:
-        return cls(status.elapsed, status.qpos, np.concatenate([status.target.position, status.target.quat]))
-
-
 class PicturePanel:
     """Two buttons. The server draws in one thread, from the view of the requesting browser, and writes no file."""
 
@@ -52,7 +40,7 @@ class PicturePanel:
         self._server = server
         self._session = session
         self._worker = LatestWorker("armctl pictures")
-        self._film: deque[_Moment] | None = None
+        self._film: deque[Status] | None = None
         with server.gui.add_folder("Pictures", expand_by_default=False):
             screenshot = server.gui.add_button("screenshot", hint="of your view, as .png")
             self._record = server.gui.add_button(_RECORD, hint=f"of your view, as .mp4; its last {MAX_FILM_S:g} s")
@@ -65,17 +53,17 @@ class PicturePanel:
     def add(self, status: Status) -> None:
         film = self._film
         if film is not None and (not film or status.elapsed - film[-1].elapsed > 0.99 * _FRAME_INTERVAL_S):
-            film.append(_Moment.of(status))
+            film.append(status)
 
     async def _take_screenshot(self, event: viser.GuiEvent) -> None:
         if event.client is not None:
-            moment = _Moment.of(self._session.status)
-            self._submit(event.client, "png", lambda camera: self._screenshot(moment, camera))
+            status = self._session.status
+            self._submit(event.client, "png", lambda camera: self._screenshot(status, camera))
 
     async def _start_or_stop(self, event: viser.GuiEvent) -> None:
         film = self._film
         if film is None:
-            self._film = deque([_Moment.of(self._session.status)], maxlen=round(MAX_FILM_S * _FRAMES_PER_SECOND))
+            self._film = deque([self._session.status], maxlen=round(MAX_FILM_S * _FRAMES_PER_SECOND))
             self._record.label = _STOP
             return
         self._film = None
@@ -102,31 +90,35 @@ class PicturePanel:
 
         self._worker.submit(make)
 
-    def _screenshot(self, moment: _Moment, camera: mujoco.MjvCamera) -> bytes:
+    def _screenshot(self, status: Status, camera: mujoco.MjvCamera) -> bytes:
         from PIL import Image
 
         arm = self._session.arm
         data = mujoco.MjData(arm.model)
-        pose(arm, data, moment.qpos, moment.target)
+        _pose(arm, data, status)
         with Renderer(arm.model, _SCREENSHOT_PX, "full") as renderer:
             image = renderer.image(data, camera)
         file = io.BytesIO()
         Image.fromarray(np.ascontiguousarray(image)).save(file, "png")
         return file.getvalue()
 
-    def _filmed(self, film: list[_Moment], camera: mujoco.MjvCamera) -> bytes:
+    def _filmed(self, film: list[Status], camera: mujoco.MjvCamera) -> bytes:
         arm = self._session.arm
         data = mujoco.MjData(arm.model)
         file = io.BytesIO()
         with Renderer(arm.model, _FILM_PX) as renderer:
 
             def images():
-                for moment in film:
-                    pose(arm, data, moment.qpos, moment.target)
+                for status in film:
+                    _pose(arm, data, status)
                     yield renderer.image(data, camera)
 
             write_mp4(file, images(), _FRAMES_PER_SECOND, _FILM_PX)
         return file.getvalue()
+
+
+def _pose(arm: Arm, data: mujoco.MjData, status: Status) -> None:
+    pose(arm, data, status.qpos, np.concatenate([status.target.position, status.target.quat]))
 
 
 def _camera(client: viser.ClientHandle, model: mujoco.MjModel) -> mujoco.MjvCamera:

@@ -1,7 +1,8 @@
-"""PlanPreview: the planned path of the tip as a line, and the arm at its end as a transparent ghost."""
+"""PlanPreview: a planned path of the tip, and the arm at its end as a ghost. RobotDrawing: a robot and its ghost."""
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -11,6 +12,7 @@ from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.sim.realtime.target_follower import PATH_POINTS, PlannedPath
 from armctl.viewer.mesh_decimation import decimated
+from armctl.viewer.web_scene import WebScene
 
 if TYPE_CHECKING:
     import trimesh
@@ -20,6 +22,7 @@ _PATH_RGB = (0, 90, 200)
 _PATH_THICKNESS_PX = 4.0
 _GHOST_RGB = (0, 90, 200)
 _GHOST_OPACITY = 0.35
+_GHOST_INTERVAL_S = 0.05
 _GHOST_CELL = 4e-3  # of the model's extent: a ghost is seen through, so it needs less detail
 
 
@@ -51,6 +54,31 @@ class Ghost:
         return self._server.scene.add_mesh_simple(
             f"{self._root}/ghost/{body}", mesh.vertices, mesh.faces, color=_GHOST_RGB, opacity=_GHOST_OPACITY, cast_shadow=False
         )
+
+
+class RobotDrawing:
+    """A robot in a scene: as it measures itself, and as a ghost where it was told to be."""
+
+    def __init__(self, scene: WebScene, arm: Arm, name: str):
+        self._scene = scene
+        self._arm = arm
+        self._name = name
+        self._ghost_shown_at = -np.inf
+        self._ghost = Ghost(scene.server, arm, "/told")
+        self._ghost.show(arm.home)  # makes it now: a robot that moves would brake meanwhile
+        self._ghost.show(None)
+
+    def show(self, q: Array, q_told: Array | None, state: str) -> None:
+        """Draws it with joints q (n,) rad; with None as what it was told, there is no ghost. Waits for nothing."""
+        if self._scene.is_closed:
+            return
+        self._scene.show(self._arm.qpos(q))
+        if q_told is None or time.monotonic() - self._ghost_shown_at > _GHOST_INTERVAL_S:
+            self._ghost_shown_at = time.monotonic()
+            self._ghost.show(q_told)
+            text = f"**{self._name}**\n\n{state}"
+            if self._scene.text.content != text:
+                self._scene.text.content = text
 
 
 class PlanPreview:

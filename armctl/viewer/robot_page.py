@@ -12,7 +12,7 @@ from armctl.core.errors import ArmctlError
 from armctl.core.pose import Pose, rotation_vector
 from armctl.core.validation import Array
 from armctl.links.robot import Robot
-from armctl.viewer.plan_preview import Ghost
+from armctl.viewer.plan_preview import RobotDrawing
 from armctl.viewer.target_controls import GIZMO_SIZE_M
 from armctl.viewer.web_scene import PORT, WebScene
 
@@ -43,7 +43,7 @@ class RobotPage:
         self._handle: Pose | None = None
         self._dragged_at = 0.0
         scene.set(robot.arm)
-        self._ghost = Ghost(scene.server, robot.arm, "/told")
+        self._drawing = RobotDrawing(scene, robot.arm, robot.link.name)
         self._gizmo = scene.server.scene.add_transform_controls("/hand", scale=GIZMO_SIZE_M, depth_test=False)
         self._gizmo.on_update(self._dragged)
         recover = scene.server.gui.add_button("recover", hint="clears a fault: only if the robot may move again")
@@ -97,16 +97,12 @@ class RobotPage:
     def _show(self, q_ref: Array | None) -> None:
         """Draws the robot where it measures itself, and the ghost where it was told to be while it moves."""
         q = self.robot.state.q
-        self.scene.show(self.robot.arm.qpos(q))
-        self._ghost.show(q_ref)
         if self._holder is None:
             tip = self.robot.tip
             self._gizmo.position = tip.position
             self._gizmo.wxyz = tip.quat
         state = self.robot.fault or self._reason or ("moves" if q_ref is not None else "stands")
-        text = f"**{self.robot.link.name}**\n\n{state}"
-        if self.scene.text.content != text:
-            self.scene.text.content = text
+        self._drawing.show(q, q_ref, state)
 
     async def _dragged(self, event: viser.TransformControlsEvent) -> None:
         if self._holder not in (None, event.client_id):

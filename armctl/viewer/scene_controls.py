@@ -35,7 +35,7 @@ class ArmControls:
         self.session.stand_by(True)
         self.session.hand = lambda: scene.devices.velocity
         self._scene = scene
-        self._node = server.scene.add_frame(root, show_axes=False)
+        self.node = server.scene.add_frame(root, show_axes=False)  # everything of it in the scene
         status = self.session.status
         self._drawn_target = status.target
         self.target = TargetControls(server, self.session, root)
@@ -45,9 +45,6 @@ class ArmControls:
         self._trail = TipTrail(server.scene, arm.fk(status.q).position, root)
         self._preview = PlanPreview(server, arm, root)
         self.panel = Panel(server, scene.text, self.session, self.target, root)
-
-    def set_visible(self, visible: bool) -> None:
-        self._node.visible = visible
 
     def draw(self) -> None:
         status = self.session.status
@@ -122,7 +119,7 @@ class SceneControls:
             folders[tip] = gui.add_folder(tip, visible=k == 0)
             with folders[tip]:
                 added[tip] = ArmControls(session, scene, f"{root}/arm{k}")
-            added[tip].set_visible(k == 0)
+            added[tip].node.visible = k == 0
 
         async def choose(event: viser.GuiEvent) -> None:
             before = self.shown
@@ -139,7 +136,7 @@ class SceneControls:
             self.shown = after
             for tip, controls in self.arms.items():
                 folders[tip].visible = controls is after
-                controls.set_visible(controls is after)
+                controls.node.visible = controls is after
 
         chosen.on_update(choose)
         return added

@@ -11,6 +11,7 @@ import numpy as np
 
 from armctl.robot.arm import Arm
 from armctl.sim.realtime.clock import RealTimeClock
+from armctl.viewer.plan_preview import RobotDrawing
 from armctl.viewer.web_scene import PORT, WebScene
 
 _TEXT_INTERVAL_S = 0.2
@@ -39,11 +40,12 @@ class Viewer:
             NotInstalledError: viser or mjviser is missing.
             InputError: The port is not a port.
         """
-        in_notebook = _in_notebook()
+        ipython = sys.modules.get("IPython")
+        in_notebook = ipython is not None and hasattr(ipython.get_ipython(), "kernel")
         self.scene = WebScene(port, title=f"{arm.name} - armctl", in_notebook=in_notebook)
         self.clock = RealTimeClock()
         self.url = self.scene.url
-        self._arm_name = arm.name
+        self._arm = arm
         self._text_written_at = -np.inf
         browser_opens = not in_notebook and self.scene.open_browser()
         self.scene.set(arm)
@@ -71,6 +73,10 @@ class Viewer:
     def close(self) -> None:
         self.scene.close()
 
+    def drawing_of_robot(self, name: str) -> RobotDrawing:
+        """What draws a robot of this name on the page, in place of a simulation."""
+        return RobotDrawing(self.scene, self._arm, name)
+
     def after_reset(self, data: mujoco.MjData) -> None:
         self._show(data)
 
@@ -87,10 +93,4 @@ class Viewer:
         self.scene.show(data.qpos, data.mocap_pos, data.mocap_quat)
         if time.monotonic() - self._text_written_at > _TEXT_INTERVAL_S:
             self._text_written_at = time.monotonic()
-            self.scene.text.content = f"**{self._arm_name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"
-
-
-def _in_notebook() -> bool:
-    ipython = sys.modules.get("IPython")
-    shell = None if ipython is None else ipython.get_ipython()
-    return hasattr(shell, "kernel")
+            self.scene.text.content = f"**{self._arm.name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"

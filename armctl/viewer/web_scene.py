@@ -44,15 +44,10 @@ _SKY_WIDTH_PX = 16
 _MAX_PORT = 65535
 _DRAWING_JOIN_TIMEOUT_S = 1.0
 
+# The position and the intensity of each lamp.
+_LAMPS = (((2.0, -1.5, 4.0), 3.0), ((-3.0, 2.0, 1.5), 1.5), ((-1.0, -2.0, -3.0), 0.8))
+
 _log = logging.getLogger("armctl.viewer")
-
-
-class _Lamp(NamedTuple):
-    position: tuple[float, float, float]
-    intensity: float
-
-
-_LAMPS = (_Lamp((2.0, -1.5, 4.0), 3.0), _Lamp((-3.0, 2.0, 1.5), 1.5), _Lamp((-1.0, -2.0, -3.0), 0.8))
 
 
 class _View(NamedTuple):
@@ -174,6 +169,10 @@ class WebScene:
         """Waits up to `timeout` s for the first client. Returns whether one has connected."""
         return self._client_connected.wait(timeout)
 
+    @property
+    def is_closed(self) -> bool:
+        return self._closing.is_set()
+
     def close(self) -> None:
         if self._closing.is_set():
             return
@@ -276,5 +275,5 @@ def _add_background_and_lamps(scene: viser.SceneApi) -> None:
     sky = np.broadcast_to(top + share * (bottom - top), (_SKY_HEIGHT_PX, _SKY_WIDTH_PX, 3))
     scene.set_background_image(sky.astype(np.uint8))
     scene.configure_default_lights(False, cast_shadow=False)
-    for k, lamp in enumerate(_LAMPS):
-        scene.add_light_directional(f"/lamps/{k}", intensity=lamp.intensity, position=lamp.position)
+    for k, (position, intensity) in enumerate(_LAMPS):
+        scene.add_light_directional(f"/lamps/{k}", intensity=intensity, position=position)

@@ -65,11 +65,23 @@ def test_bryson_weights_are_the_inverse_squares(arm):
     assert np.allclose(found.R, 0.04 * np.eye(arm.n))
 
 
-def test_gains_along_a_motion_follow_from_the_riccati_recursion(arm):
-    motion = armctl.move_j(arm, arm.home, arm.limits.clamp(arm.home + 0.3))
-    nodes = armctl.LQR(arm, motion, max_error=0.01).gains()
+def test_by_default_the_poles_are_at_the_bandwidth(arm):
+    """A unit mass with Q = w^4 and R = 1 has its poles at w, 45 degrees from the real axis."""
+    law = armctl.LQR(arm, integral_time=0.0)
+    (found,) = law.gains(1e-4)
+    poles = np.log(np.linalg.eigvals(found.A - found.B @ found.K)) / 1e-4
+    bandwidth = law.effective_gains(1e-4)["bandwidth"]
+    assert poles.real == pytest.approx(np.full(2 * arm.n, -bandwidth / np.sqrt(2)), rel=0.03)
+    assert np.abs(poles.imag) == pytest.approx(np.full(2 * arm.n, bandwidth / np.sqrt(2)), rel=0.03)
+
+
+# Gains that forget the end of a motion within an interval, and on a short motion those that do not.
+@pytest.mark.parametrize(("distance", "max_error"), [(0.3, 0.01), (0.05, 5.0)])
+def test_gains_along_a_motion_follow_from_the_riccati_recursion(arm, distance, max_error):
+    motion = armctl.move_j(arm, arm.home, arm.limits.clamp(arm.home + distance))
+    nodes = armctl.LQR(arm, motion, max_error=max_error).gains()
     interval = motion.duration / (len(nodes) - 1)
-    assert np.abs(nodes[0].K - nodes[-1].K).max() > 1e-2 * np.abs(nodes[0].K).max()
+    assert np.abs(nodes[0].K - nodes[-1].K).max() > 0.03 * distance * np.abs(nodes[0].K).max()
     P = nodes[-1].P
     for node in nodes[-2:-4:-1]:
         K = node.K

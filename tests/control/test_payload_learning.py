@@ -67,6 +67,11 @@ def test_the_regressor_gives_the_torque_of_a_body_at_the_tip(light_wrist, contin
         assert Y @ parameters == pytest.approx(tau[1] - tau[0], abs=1e-9)
 
 
+def test_before_the_first_tick_nothing_is_learnt(light_wrist):
+    law = armctl.ComputedTorqueLearning(light_wrist)
+    assert (law.payload.tolist(), law.delay, law.friction.tolist()) == ([0.0] * 4, 0.0, [0.0] * light_wrist.n)
+
+
 @pytest.mark.parametrize("dt", [0.001, 0.004])
 def test_the_third_motion_has_a_tenth_of_the_error(light_wrist, dt):
     observed, _ = error_of_third_motion(light_wrist, OBSERVER, timestep=dt)

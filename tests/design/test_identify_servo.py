@@ -94,7 +94,7 @@ def test_parameters_are_those_of_the_real_servos(known):
     assert found.unseen == ()
     for name, true in TRUE.items():
         assert getattr(found.parameters, name) == pytest.approx(true, rel=0.1), name
-    assert found.parameters.delay == pytest.approx(DELAY, rel=0.1)
+    assert found.parameters.delay == pytest.approx(DELAY, rel=0.02)
     assert 0 < found.errors.delay < 1e-3
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import gymnasium
 import mujoco
@@ -17,7 +18,7 @@ import armctl.envs
 from armctl.envs.actions import target_limits
 
 ROBOT = "robot_arm_3dof"
-ACTIONS = ("torque", "joint_delta", "joint_target", "cartesian_delta", "cartesian_pose")
+ACTIONS = ("torque", "joint_delta", "joint_target", "cartesian_delta", "cartesian_pose", "joint_delta_smooth")
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +69,35 @@ def test_joint_limits_hold_whatever_the_policy_does(arm, action, contacts):
     for push in np.repeat(pushes, 12, axis=0):
         env.step(push)
         assert arm.limits.contains(env.batch.rows.q)
+
+
+def pushed(env) -> np.ndarray:
+    """(T, n) rad, the positions at each tick of an episode with abrupt actions and a rest."""
+    env.reset(seed=4)
+    q = [env.batch.rows.q[0].copy()] * 3
+    for push in np.repeat([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0], [1.0, -1.0, 0.0], [0.0, 0.0, 0.0]], [60, 90, 60, 390], axis=0):
+        env.step(push)
+        q.append(env.batch.rows.q[0].copy())
+    return np.array(q)
+
+
+@pytest.mark.parametrize("action", ["joint_delta_smooth", "cartesian_delta_smooth"])
+def test_smooth_actions_keep_the_jerk_limits_and_every_episode_begins_at_rest(arm, action):
+    env = armctl.envs.ArmEnv(arm, action=action, ticks=1, horizon=1000)
+    q = pushed(env)
+    assert (np.abs(np.diff(q, axis=0)) <= 1.001 * arm.dt * arm.limits.v_max).all()
+    assert (np.abs(np.diff(q, 2, axis=0)) <= 1.001 * arm.dt**2 * arm.limits.a_max).all()
+    assert (np.abs(np.diff(q, 3, axis=0)) <= 1.001 * arm.dt**3 * arm.limits.j_max).all()
+    assert q[-1] == pytest.approx(env.batch.rows.target[0], abs=1e-9)
+    assert np.array_equal(q, pushed(env))
+    other = pushed(armctl.envs.ArmEnv(arm, action=action.removesuffix("_smooth"), ticks=1, horizon=1000))
+    assert (np.abs(np.diff(other, 3, axis=0)) > 10 * arm.dt**3 * arm.limits.j_max).any()
+
+
+def test_an_arm_whose_jerk_limits_would_delay_smooth_actions_by_seconds_is_refused(arm):
+    slow = arm.with_limits(replace(arm.limits, j_max=arm.limits.a_max / 10))
+    with pytest.raises(armctl.InputError, match="j_max: smooth actions would be averaged over 20 s; the most is 10 s"):
+        armctl.envs.ArmEnv(slow, action="joint_delta_smooth")
 
 
 def test_the_seed_decides_everything(arm):

@@ -7,6 +7,7 @@ from arms import arm_of
 import armctl
 from armctl import InputError, Pose, Reachability
 from armctl.ik.batch import solve_ik_batch
+from armctl.ik.problem import ik_chain
 
 PLANAR_LINK = """<body pos="{x} 0 0"><joint name="j{i}" axis="0 1 0" range="-3 3"/>
 <geom type="capsule" fromto="0 0 0 {length} 0 0" size="0.01" mass="1" contype="0" conaffinity="0"/>"""
@@ -89,6 +90,14 @@ def test_where_nothing_is_reached_there_is_a_reason():
     found = armctl.reachability(armctl.load("robot_arm_3dof"), 0.1, region=[(5.0, 5.0, 5.0), (5.1, 5.1, 5.1)])
     assert not found
     assert found.reason == f"none of {len(found.points)} points is reachable"
+    assert found.to_dict()["mean_fraction"] == 0.0
+
+
+def test_corners_of_a_region_that_lie_on_the_grid_are_points_of_it():
+    arm = armctl.load("robot_arm_3dof")
+    centre = ik_chain(arm).base
+    found = armctl.reachability(arm, 0.1, region=[centre - 0.3, centre + 0.3])
+    assert len(found.points) == 7**3
 
 
 def test_an_arm_that_moves_in_a_plane_has_a_grid_in_that_plane(tmp_path):

@@ -263,6 +263,15 @@ def test_solutions_are_sorted_by_their_distance_from_q0_and_turned_towards_it(tm
     assert np.array_equal(solve_ik_all(arm, arm.fk(GENERIC[:6]), 3, q0).q, found.q[:3])
 
 
+@pytest.mark.parametrize("name", ["no special axes", "seven joints"])
+def test_solutions_of_a_search_are_turned_towards_q0(tmp_path, name: str):
+    arm = arm_of(tmp_path, name, "-20 20")
+    q0 = np.full(arm.n, 9.0)
+    found = solve_ik_all(arm, arm.fk(GENERIC[: arm.n]), 8, q0)
+    assert found.ok.all()
+    assert (np.abs(found.q - q0) <= np.pi + 1e-9).all()
+
+
 @pytest.mark.parametrize("name", SIX_JOINTS)
 def test_nearest_is_the_first_of_all_solutions(tmp_path, name: str):
     arm = arm_of(tmp_path, name)

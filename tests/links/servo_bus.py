@@ -5,6 +5,7 @@ answers), "mute", "show".
 """
 
 import json
+import math
 import os
 import pty
 import select
@@ -15,6 +16,7 @@ import tty
 READ, WRITE, SYNC_READ, SYNC_WRITE = 2, 3, 0x82, 0x83
 MODEL, OFFSET, TORQUE, GOAL, PRESENT, STATUS = 3, 31, 40, 42, 56, 65
 LAG_S = 0.05
+MAX_STEP_S = 0.02
 SPEED = 3400.0  # counts/s
 OLD_GOAL = 2048  # left in the register by an earlier program
 
@@ -92,8 +94,10 @@ def main() -> None:
         ready, _, _ = select.select([master, sys.stdin], [], [], 0.002)
         before = now
         now = time.monotonic()
+        steps = math.ceil((now - before) / MAX_STEP_S)  # many, where the computer is busy
         for servo in servos.values():
-            servo.advance(min(now - before, 0.02))
+            for _ in range(steps):
+                servo.advance((now - before) / steps)
         if sys.stdin in ready:
             words = sys.stdin.readline().split()
             if not words:

@@ -39,6 +39,17 @@ def loaded(robot, **how) -> armctl.Arm:
         return armctl.load(robot, **how)
 
 
+@pytest.mark.parametrize("kind", ["spec", "model", "several arms"])
+def test_a_warning_points_at_the_line_that_loads(kind: str):
+    spec = mujoco.MjSpec.from_string(mjcf(limb("a"), '<actuator><motor name="a" joint="a"/></actuator>'))
+    with pytest.warns(armctl.ArmctlWarning, match="no torque limit") as caught:  # noqa: PT031
+        if kind == "several arms":
+            armctl.load_arms(spec, [armctl.chains(spec)[0].tip])
+        else:
+            armctl.load(spec.compile() if kind == "model" else spec)
+    assert {each.filename for each in caught} == {__file__}
+
+
 def bytes_of(model: mujoco.MjModel) -> bytes:
     buffer = np.zeros(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)

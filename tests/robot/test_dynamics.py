@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import mujoco
 import numpy as np
 import pytest
-from synthetic import TIED, limb, mjcf, motors
+from synthetic import TIED, limb, mjcf, motors, ties
 
 import armctl
 from armctl import Arm, Report, _core
@@ -144,6 +144,34 @@ def test_everything_a_joint_can_have_is_in_the_dynamics(tmp_path, gravcomp: floa
         )
 
 
+@pytest.mark.parametrize("solref", ["0.03 1", "-2500 -90"])
+def test_dry_friction_has_the_stiffness_of_its_constraint(tmp_path, solref: str):
+    path = tmp_path / "chain.xml"
+    text = CHAIN.format(gravcomp=0, integrator="implicitfast", eulerdamp="enable")
+    path.write_text(text.replace('frictionloss="0.4"', f'frictionloss="0.4" solreffriction="{solref}"'))
+    arm = armctl.load(path)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    for q, v, a in states(arm, 30, seed=12):
+        expected = mujoco_inverse(arm, q, v, a, friction=True)
+        ours = dynamics.discrete_inverse_dynamics(q, v, a, arm.dt) + dynamics.discrete_friction(q, v, a, arm.dt)
+        assert np.allclose(ours, expected, rtol=1e-9, atol=0.004)
+
+
+def test_the_payload_regressor_is_the_torque_of_a_point_mass(tmp_path):
+    """Of opposite centers, the torques differ by twice the part that is linear in the center."""
+    path = tmp_path / "chain.xml"
+    path.write_text(CHAIN.format(gravcomp=0, integrator="implicitfast", eulerdamp="enable"))
+    arm = armctl.load(path)
+    center = np.array([0.06, -0.04, 0.09])
+    ahead, behind, at_tip = (arm.with_payload(0.7, sign * center) for sign in (1, -1, 0))
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    for q, v, a in states(arm, 10, seed=9):
+        Y = dynamics.payload_regressor(q, v, a)
+        linear = 0.5 * (ahead.inverse_dynamics(q, v, a) - behind.inverse_dynamics(q, v, a))
+        assert Y[:, 1:] @ (0.7 * center) == pytest.approx(linear, abs=1e-10)
+        assert Y[:, 0] * 0.7 == pytest.approx(at_tip.inverse_dynamics(q, v, a) - arm.inverse_dynamics(q, v, a), abs=1e-10)
+
+
 def test_discrete_inverse_dynamics_does_not_depend_on_earlier_calls(bundled: Arm):
     shared = Dynamics(bundled.model, bundled.pinocchio_model)
     for q, v, a in states(bundled, 5, seed=6):
@@ -168,6 +196,16 @@ SYNTHETIC = {
     "geared": (mjcf(limb("a b c", joint='armature="0.2" damping="0.3"'), GEARS), {}),
     "everything a joint can have": (CHAIN.format(integrator="implicit", eulerdamp="enable", gravcomp=0.7), {}),
     "explicit Euler": (CHAIN.format(integrator="Euler", eulerdamp="disable", gravcomp=0), {}),
+    "a follower with springs and damping of higher powers": (
+        mjcf(limb("a b c d", joint='damping="0.3 0.2 0.1" stiffness="1 0.5 0.2"'), ties("c b 0.1 -0.5") + motors("a b d")),
+        {},
+    ),
+    "springs and damping disabled": (
+        CHAIN.format(integrator="implicitfast", eulerdamp="enable", gravcomp=0).replace(
+            'eulerdamp="enable"', 'spring="disable" damper="disable"'
+        ),
+        {},
+    ),
     **{name: (mjcf(bodies, rest), how) for name, (bodies, rest, how, _) in TIED.items()},
 }
 

@@ -56,6 +56,18 @@ def test_a_push_is_found_at_once_and_wrong_masses_are_no_push(arm):
     assert force.alarm == "" or "from outside at j" in force.alarm
 
 
+def test_an_alarm_is_a_torque_above_its_threshold(arm):
+    slow = armctl.Push(0.1, 0.8, force=[0.0, 0.0, 40.0])
+    log = armctl.simulate(arm, "pd-gravity", armctl.move_j(arm, arm.home, arm.home + 0.1), armctl.Plant(pushes=slow))
+    force = armctl.ExternalForce(arm, bandwidth=1.0)
+    shares = []
+    for q, v, tau in zip(log.q[1:], log.v[1:], log.tau, strict=False):
+        force.update(q, v, tau, log.dt)
+        shares.append((np.abs(force.torque) / force.threshold).max())
+        assert bool(force.alarm) == (shares[-1] > 1.0)
+    assert 1.0 < min(share for share in shares if share > 1.0) < 1.2
+
+
 @pytest.mark.parametrize("reaction", ["stop", "retreat", "float"])
 def test_reactions_keep_all_limits_and_the_next_move_starts_where_they_end(arm, reaction):
     plant = armctl.Plant(timestep=TICK_S, encoder_noise=1e-5, pushes=PUSH)

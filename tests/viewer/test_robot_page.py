@@ -13,6 +13,7 @@ from viewer_client import CAMERA, TIMEOUT_S, Client, control_id, until
 import armctl
 from armctl.cli.main import main
 from armctl.viewer.devices import PATH
+from armctl.viewer.plan_preview import Ghost
 from armctl.viewer.robot_page import RobotPage
 from armctl.viewer.web_scene import WebScene
 
@@ -115,6 +116,29 @@ def test_a_fault_stays_until_a_visitor_recovers():
         until(lambda: served.robot.fault == "", "it does not recover")
         visitor.close()
         client.close()
+
+
+def test_a_page_shows_the_moves_of_a_program_beside_what_the_robot_was_told(monkeypatch):
+    told = []
+    monkeypatch.setattr(Ghost, "show", lambda _, q: told.append(q))
+    arm = arm_of("robot_arm_3dof")
+    with armctl.Robot(arm, armctl.links.PlantLink(arm, real_time=True), speed=0.5) as robot:
+        page = robot.view()
+        assert told.pop(0) is arm.home
+        assert told.pop(0) is None
+        drawn = []
+        page.scene.show = lambda qpos: drawn.append(qpos)
+        result = robot.move_to([0.3, 0.2, 0.3])
+        assert result, result.reason
+        seen = np.array(drawn)[:, arm.qpos_adr]
+        assert len(seen) > 20
+        assert np.abs(np.diff(seen, axis=0)).max() < 0.5 * np.abs(seen[-1] - seen[0]).max()
+        assert seen[-1] == pytest.approx(result.log.q[-1], abs=5e-3)
+        assert len(told) > 5
+        assert all(np.abs(result.log.q_ref - q).max(axis=1).min() < 1e-6 for q in told)
+        assert "simulated robot_arm_3dof" in page.scene.text.content
+        page.close()
+        assert robot.move_to([0.3, -0.2, 0.3])
 
 
 def test_the_command_line_serves_a_page_until_ctrl_c(monkeypatch, capsys):

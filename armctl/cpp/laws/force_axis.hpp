@@ -24,11 +24,12 @@ struct AxisTick {
 
 // A force axis with what it keeps from tick to tick, which are numbers of the memory of a law.
 struct ForceAxis {
-    static constexpr size_t memory_size = 10;
+    static constexpr size_t memory_size = 14;
 
     explicit ForceAxis(Result memory)
         : touches(memory[0]), measured(memory[1]), commanded(memory[2]), integral(memory[3]), lost_time(memory[4]), yielding(memory[5]),
-          steady_speed(memory[6]), first_force(memory[7]), depth(memory[8]), fluidity(memory[9]) {}
+          steady_speed(memory[6]), first_force(memory[7]), depth(memory[8]), depth_depth(memory[9]), depth_speed(memory[10]),
+          speed_speed(memory[11]), depth_force(memory[12]), speed_force(memory[13]) {}
 
     double& touches;       // 1 in contact, else 0
     double& measured;      // N, filtered
@@ -39,7 +40,12 @@ struct ForceAxis {
     double& steady_speed;  // m/s
     double& first_force;   // N, at which the depth begins; 0 before
     double& depth;         // m, travelled since
-    double& fluidity;      // m/(N s), the largest speed per force since, an upper bound for that of the wall's own damping
+    // Sums over the ticks since, of products of depth, speed and rise of the force.
+    double& depth_depth;
+    double& depth_speed;
+    double& speed_speed;
+    double& depth_force;
+    double& speed_force;
 
     AxisCommand command(const AxisTick& tick) {
         measured += low_pass_weight(force_filter, tick.dt) * (tick.measured - measured);
@@ -51,6 +57,13 @@ struct ForceAxis {
     }
 
 private:
+    // What the way into a wall has shown of it so far.
+    struct Wall {
+        double stiffness = 0.0;  // N/m
+        double damping = 0.0;    // N s/m
+        bool is_known = false;
+    };
+
     static constexpr double force_filter = 300.0;  // rad/s; about 3 ms against the noise of force sensors
     static constexpr double approach_rate = 40.0;  // 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
     static constexpr double damping_rate = 30.0;   // 1/s, the damping of the tip in contact divided by its mass
@@ -58,7 +71,8 @@ private:
     // 1/s. While the tip sinks into a damped wall, its damping would hold back a part of the force. So a speed that lasts, and that
     // reduces the error, is damped less and less.
     static constexpr double steady_speed_rate = 12.0;
-    static constexpr double max_relieved_ratio = 0.2;     // of the target, what the damping is relieved of
+    static constexpr double min_relieved_ratio = 0.2;     // of the target, what the damping is relieved of at least
+    static constexpr double max_relieved_ratio = 0.9;     // and at most, where the wall itself damps the tip critically
     static constexpr double relief_rate = 30.0;           // 1/s, of the depth, a bound for the steady speed
     static constexpr double max_integrated_error = 0.08;  // of the target
     // 1/s. On foam, the error of the force of a damped tip decays at stiffness / (damping_rate mass), 3 /s for 10 kg at 1e3 N/m.
@@ -67,7 +81,9 @@ private:
     static constexpr double min_stiffness = 1000.0;    // N/m; a tip that falls into a hole takes it for a soft wall
     static constexpr double max_sinking_speed = 0.25;  // m/s
     static constexpr double first_ratio = 0.25;        // of the contact threshold, the force from which the stiffness is estimated
-    static constexpr double rise_time = 0.02;          // s, time constant of the commanded force after the first contact
+    // Of depth and speed, squared sine between their courses, from which stiffness and damping can be told apart.
+    static constexpr double min_independence = 1e-3;
+    static constexpr double rise_time = 0.02;  // s, time constant of the commanded force after the first contact
     // Friction is compensated at this share of the speed that a frictionless mass would have. With all of it, the force loop that
     // is closed over the friction is unstable on walls ten times stiffer than MuJoCo's default with a delay of 4 ms.
     static constexpr double yielding_ratio = 0.1;
@@ -82,23 +98,47 @@ private:
         if (pressing < first_ratio * tick.threshold || tick.target == 0.0) {
             first_force = 0.0;
             depth = 0.0;
-            fluidity = 0.0;
+            depth_depth = depth_speed = speed_speed = depth_force = speed_force = 0.0;
             return;
         }
         const double speed = sign * tick.speed;
         if (first_force == 0.0) { first_force = pressing; }
         depth += tick.dt * speed;
-        fluidity = std::max(fluidity, speed / pressing);
+        const double rise = pressing - first_force;
+        depth_depth += depth * depth;
+        depth_speed += depth * speed;
+        speed_speed += speed * speed;
+        depth_force += depth * rise;
+        speed_force += speed * rise;
     }
 
-    // The speed beyond that of a damped tip with which an error of the force decays at `force_rate`, by the stiffness of the way so
-    // far. A wall's own damping makes it seem stiffer, and is added besides: both keep the speed low.
-    double sinking_speed(const AxisTick& tick, double error, double pressing) const {
-        const double rise = pressing - first_force;
-        if (first_force == 0.0 || depth <= 0.0 || fluidity == 0.0 || rise < first_ratio * tick.threshold) { return 0.0; }
-        const double resistance = 1.0 / fluidity + std::max(rise / depth, min_stiffness) / force_rate;
+    // Stiffness, N/m, and damping, N s/m, of the wall by least squares over the way so far: rise = stiffness depth + damping speed.
+    Wall wall() const {
+        const double determinant = depth_depth * speed_speed - depth_speed * depth_speed;
+        if (!(determinant > min_independence * depth_depth * speed_speed)) { return {}; }
+        Wall found{
+            .stiffness = (depth_force * speed_speed - speed_force * depth_speed) / determinant,
+            .damping = (speed_force * depth_depth - depth_force * depth_speed) / determinant,
+            .is_known = true,
+        };
+        if (found.damping < 0.0) { found = {.stiffness = depth_force / depth_depth, .damping = 0.0, .is_known = true}; }
+        found.stiffness = std::max(found.stiffness, min_stiffness);
+        return found;
+    }
+
+    // The speed beyond that of a damped tip with which an error of the force decays at `force_rate` on the wall.
+    double sinking_speed(const AxisTick& tick, const Wall& wall, double error, double pressing) const {
+        if (!wall.is_known || pressing - first_force < first_ratio * tick.threshold) { return 0.0; }
+        const double resistance = wall.damping + wall.stiffness / force_rate;
         const double speed = (1.0 / resistance - 1.0 / (damping_rate * tick.mass)) * error;
         return speed * error > 0.0 ? clipped(speed, max_sinking_speed) : 0.0;
+    }
+
+    // Of the target, what the damping is relieved of: the more, the more the wall damps the mass of the tip instead.
+    static double relieved_ratio(const Wall& wall, double mass) {
+        if (!wall.is_known) { return min_relieved_ratio; }
+        const double damping_ratio = 0.5 * wall.damping / std::sqrt(wall.stiffness * mass);
+        return min_relieved_ratio + (max_relieved_ratio - min_relieved_ratio) * std::clamp(2.0 * damping_ratio - 1.0, 0.0, 1.0);
     }
 
     // Notes the first contact, and its loss.
@@ -139,12 +179,13 @@ private:
         const double error = commanded - measured;
         const double damping = damping_rate * tick.mass;
         const double bound = max_integrated_error * std::abs(tick.target);
-        const double sinking = sinking_speed(tick, error, pressing);
+        const Wall wall = this->wall();
+        const double sinking = sinking_speed(tick, wall, error, pressing);
         const double faster = tick.speed - sinking;
         const double reducing = error * faster > 0.0 ? faster : 0.0;
         steady_speed += low_pass_weight(steady_speed_rate, tick.dt) * (reducing - steady_speed);
         // A tip that slides or yields stays slow, and one on a stiff wall does not chatter.
-        const double most = std::min(max_relieved_ratio * std::abs(tick.target) / damping, relief_rate * std::max(depth, 0.0));
+        const double most = std::min(relieved_ratio(wall, tick.mass) * std::abs(tick.target) / damping, relief_rate * std::max(depth, 0.0));
         steady_speed = clipped(steady_speed, most);
         const double damped_speed = faster - steady_speed;
         // The damping explains a part of the error. If that were integrated, the force would overshoot.

@@ -16,7 +16,8 @@ namespace armctl {
 //     -tau_max <= M a + h <= tau_max,    -v_max <= v <= v_max,    q_min <= q <= q_max
 //
 // the torques at the first tick of each block, the others at its last one, for M and h of the motion that c = 0 gives; and their
-// change from block to block, which is at most the torque rate times the time between. Where limits contradict each other, those
+// change from block to block, which is at most the torque rate times the time between. Torques change with c by M and by the linear
+// damping of the joints. Where limits contradict each other, those
 // of velocity and position that c = 0 exceeds become costs. Without a solution the last plan goes on. The program of
 // ComputedTorqueQP then keeps the limits of the tick itself, and brakes before the end of a joint's range.
 class MPC final : public Cloneable<MPC, ComputedTorqueQP> {
@@ -214,6 +215,7 @@ private:
                 for (size_t each = 0; each < blocks(); ++each) {
                     const double acceleration = node.of_blocks[each].acceleration;
                     for (size_t j = 0; j < n; ++j) { rows_(row, each * n + j) = acceleration * inertia_(i, j); }
+                    rows_(row, each * n + i) -= period_.model().drives[i].damping.linear * node.of_blocks[each].rate;
                 }
                 double lower = -tau_max_[i];
                 double upper = tau_max_[i];
@@ -255,13 +257,13 @@ private:
 
     QuadraticProgram program() {
         const size_t n = joints();
+        for (size_t i = 0; i < n; ++i) { H_(i, i) += joint_weight * joint_weight * length_ * length_; }
         for (size_t row = 0; row < size(); ++row) {
             for (size_t column = 0; column < size(); ++column) {
-                const double metric =
-                    H_(row % n, column % n) + (row % n == column % n ? joint_weight * joint_weight * length_ * length_ : 0.0);
-                cost_(row, column) = squares_(row / n, column / n) * metric;
+                cost_(row, column) = squares_(row / n, column / n) * H_(row % n, column % n);
             }
         }
+        for (size_t i = 0; i < n; ++i) { H_(i, i) -= joint_weight * joint_weight * length_ * length_; }
         return {.H = cost_, .f = no_cost_, .M = rows_, .lower = lower_, .upper = upper_};
     }
 

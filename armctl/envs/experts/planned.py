@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import PlanError
 from armctl.core.target import Target
@@ -21,9 +21,6 @@ from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import move_free
 from armctl.robot.arm import Arm
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 _MAX_LAGS = (0.4, 0.1, 0.03)  # rad (m), of the reference of a joint behind its target
 _GROWTHS = (1.45, 1.2)  # of the obstacle in the plan, from which the followed motion may deviate

@@ -33,14 +33,9 @@ class ArmSource:
     """A robot that can be loaded, or an arm that was loaded."""
 
     def __init__(self, robot: Robot, load_options: Mapping[str, Any] | None):
-        """A robot.
+        """An arm, or what `armctl.load` takes, with the keyword arguments of `armctl.load` except its scene.
 
-        Args:
-            robot: An arm, or what `armctl.load` takes.
-            load_options: Keyword arguments of `armctl.load`, except its scene.
-
-        Raises:
-            InputError: Another type, a scene among the options, or options for an arm that was loaded.
+        InputError for another type, a scene among the options, or options for an arm that was loaded.
         """
         instance("robot", robot, (str, os.PathLike, mujoco.MjSpec, Arm), "'panda' or armctl.load('panda') is one")
         instance("load_options", load_options or {}, Mapping, "{'tool': 'robotiq_2f85'} is one")
@@ -55,11 +50,7 @@ class ArmSource:
         return self._robot if isinstance(self._robot, Arm) else load(self._robot, **self._options)
 
     def load_among(self, scene: Scene, task: str) -> Arm:
-        """The arm among the objects of a task.
-
-        Raises:
-            InputError: The arm was loaded already.
-        """
+        """The arm among the objects of a task; InputError if it was loaded already."""
         if isinstance(self._robot, Arm):
             raise InputError(
                 f"robot: {task} puts objects around the robot, and {self._robot.name:.80} is loaded already; give its name or "

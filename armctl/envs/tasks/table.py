@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
+from itertools import islice, product
 from typing import NamedTuple
 
 import mujoco
@@ -93,11 +93,7 @@ class _SceneWithCylinder(Scene):
         spec.geom("object").friction[0] = self._friction
 
 
-class _Place(NamedTuple):
-    """A candidate: the table, and the configurations over its corners."""
-
-    table: Table
-    corners: list[Array]
+_Place = tuple[Table, list[Array]]  # a candidate: the table, and the configurations over its corners
 
 
 def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, height: float, task: str) -> Iterator[_Place]:
@@ -128,7 +124,7 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
         corners = _corners(arm, table, middles[where], margin + table.reach_over(height))
         if corners is not None:
             found = True
-            yield _Place(table._replace(q=corners[0]), corners)
+            yield table._replace(q=corners[0]), corners
     if not found:
         width = 2.0 * (_RADII[-1] * reach + margin)
         raise InputError(
@@ -142,11 +138,10 @@ def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinde
 
     InputError if there is none, or the robot was loaded already.
     """
-    for _, place in zip(range(_MAX_SCENES), places, strict=False):
-        table = place.table
+    for table, corners in islice(places, _MAX_SCENES):
         arm = source.load_among(_SceneWithCylinder(table, cylinder), name)
         checker = collision_checker(arm)
-        if not any(checker.at(q) for q in place.corners):
+        if not any(checker.at(q) for q in corners):
             return arm, table
     raise InputError(f"robot: {name} finds no place for a table that the arm does not touch; mount the arm higher or alone")
 

@@ -57,51 +57,34 @@ class Turn:
 
     def at(self, share: float) -> Array:
         """The orientation (3, 3) after a share of it, 0 to 1."""
-        return rotation_from_vector(share * self.vector) @ self.start if self._turns else self.start
-
-    @cached_property
-    def _turns(self) -> bool:
-        return bool(self.vector.any())
+        return rotation_from_vector(share * self.vector) @ self.start if self.length else self.start
 
 
-@dataclass(frozen=True, eq=False)
 class Straight:
-    """A straight line."""
+    """A straight line from one point (3,) m to another, with a turn along it."""
 
-    start: Array  # (3,) m
-    end: Array  # (3,) m
-    turn: Turn  # how the orientation changes along the path
-
-    @property
-    def length(self) -> float:
-        return self._length
-
-    @cached_property  # pyright does not accept one for the property of a protocol
-    def _length(self) -> float:
-        return max(float(np.linalg.norm(self.end - self.start)), self.turn.length)
+    def __init__(self, start: Array, end: Array, turn: Turn):
+        self._start = start
+        self._way = end - start
+        self._turn = turn
+        self._change = np.concatenate([self._way, turn.vector])
+        self.length = max(float(np.linalg.norm(self._way)), turn.length)
 
     def at(self, s: float) -> PathPoint:
-        share = s / self._length
-        return PathPoint(self.start + share * self._way, self.turn.at(share), self._twist)
-
-    @cached_property
-    def _way(self) -> Array:
-        return self.end - self.start
-
-    @cached_property
-    def _twist(self) -> Array:
-        return np.concatenate([self._way, self.turn.vector]) / self._length
+        share = s / self.length
+        return PathPoint(self._start + share * self._way, self._turn.at(share), self._change / self.length)
 
 
-@dataclass(frozen=True, eq=False)
 class Circle:
-    """An arc of a circle."""
+    """An arc by an angle, rad, from a point (3,) m around a center (3,) m and an axis (3,), with a turn along it."""
 
-    start: Array  # (3,) m
-    center: Array  # (3,) m
-    axis: Array  # (3,) unit vector that it turns about
-    angle: float  # rad, how far
-    turn: Turn  # how the orientation changes along the path
+    def __init__(self, start: Array, center: Array, axis: Array, angle: float, turn: Turn):
+        self._center = center
+        self._angle = angle
+        self._turn = turn
+        self._radius = start - center
+        self._ahead = np.cross(axis, self._radius)  # from the center to where a quarter of a turn leads
+        self.length = max(angle * float(np.linalg.norm(self._radius)), turn.length)
 
     @classmethod
     def through(cls, start: Array, via: Array, end: Array, angle: float | None, turn: Turn) -> Circle:
@@ -122,28 +105,13 @@ class Circle:
             angle = math.atan2(float(axis @ np.cross(arm, last)), float(arm @ last)) % (2 * math.pi)
         return cls(start, center, axis, angle, turn)
 
-    @property
-    def length(self) -> float:
-        return self._length
-
-    @cached_property  # pyright does not accept one for the property of a protocol
-    def _length(self) -> float:
-        return max(self.angle * float(np.linalg.norm(self.start - self.center)), self.turn.length)
-
     def at(self, s: float) -> PathPoint:
-        share = s / self._length
-        cos = math.cos(share * self.angle)
-        sin = math.sin(share * self.angle)
-        x, y = self._radii
-        linear = self.angle * (cos * y - sin * x)
-        twist = np.concatenate([linear, self.turn.vector]) / self._length
-        return PathPoint(self.center + (cos * x + sin * y), self.turn.at(share), twist)
-
-    @cached_property
-    def _radii(self) -> tuple[Array, Array]:
-        """From the center to the start, and to where a quarter of a turn leads."""
-        radius = self.start - self.center
-        return radius, np.cross(self.axis, radius)
+        share = s / self.length
+        cos = math.cos(share * self._angle)
+        sin = math.sin(share * self._angle)
+        linear = self._angle * (cos * self._ahead - sin * self._radius)
+        twist = np.concatenate([linear, self._turn.vector]) / self.length
+        return PathPoint(self._center + (cos * self._radius + sin * self._ahead), self._turn.at(share), twist)
 
 
 @dataclass(frozen=True, eq=False)

@@ -199,7 +199,9 @@ def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState, max
     if profile is not None:
         pieces = ending_at(profile.pieces(start), goal)
         stretch = 1.0
-        if not _is_negligible(pieces.correction, solver.bounds) or _clock_error(profile.duration, solver.bounds) > _NEGLIGIBLE:
+        added = zip(pieces.correction, solver.bounds, strict=True)
+        is_negligible = all((change <= _NEGLIGIBLE * bound).all() for change, bound in added)
+        if not is_negligible or _clock_error(profile.duration, solver.bounds) > _NEGLIGIBLE:
             stretch = stretch_needed(pieces.corrected, solver.bounds)
         if stretch <= 1 + max_excess:
             return pieces.corrected
@@ -266,10 +268,6 @@ def _quintic(knots: Array, q: Array, v: Array, a: Array) -> tuple[Array, tuple[A
             coefficients[:, power] += term[:, None] * quintic[order] / duration**power
     size = np.abs(quintic[3:])
     return coefficients, tuple(np.array(f) @ size / duration**order for order, f in enumerate(_DERIVATIVE_FACTORS, start=1))
-
-
-def _is_negligible(correction: tuple[Array, Array, Array], bounds: tuple[Array, Array, Array]) -> bool:
-    return all((added <= _NEGLIGIBLE * bound).all() for added, bound in zip(correction, bounds, strict=True))
 
 
 def _clock_error(duration: float, bounds: tuple[Array, Array, Array]) -> float:

@@ -94,13 +94,10 @@ class JointTrajectory:
         return self.knots.tolist()
 
     def __call__(self, t: float) -> Setpoint:
-        """The setpoint at a time.
+        """The setpoint at a time: q, v, a, each (n,).
 
         Args:
             t: s, clamped to [0, duration]; outside it the arm stands still at the end.
-
-        Returns:
-            q, v, a, each (n,).
 
         Raises:
             InputError: The time is not a number.
@@ -119,13 +116,10 @@ class JointTrajectory:
         return Setpoint(q, v, a) if inside == t else Setpoint(q, np.zeros_like(v), np.zeros_like(a))
 
     def sample(self, times: ArrayLike) -> Setpoint:
-        """The setpoints at many times at once.
+        """The setpoints at many times at once: q, v, a, each (T, n).
 
         Args:
             times: (T,) s, each clamped to [0, duration].
-
-        Returns:
-            q, v, a, each (T, n).
         """
         return Setpoint(*piecewise.sample(self.pieces, vector("times", times)))
 
@@ -157,13 +151,10 @@ class JointTrajectory:
         return check_limits(self.pieces, limits, self.joint_names, self.units)
 
     def stopped_at(self, t: float) -> JointTrajectory:
-        """The motion with a stop on its path, as soon as the limits allow after a time.
+        """The motion with a stop on its path, which it never leaves, as soon as the limits allow after a time.
 
         Args:
             t: s, when the stop is requested; until then nothing changes.
-
-        Returns:
-            The motion, at rest at its end; it never leaves the path.
 
         Raises:
             InputError: The time is outside the motion.
@@ -174,16 +165,14 @@ class JointTrajectory:
     def overridden(self, t: float, factor: float) -> JointTrajectory:
         """The motion with another speed on its path from a time on: a speed override that changes during the motion.
 
-        The speed changes smoothly, as soon as the limits on position, speed, acceleration and jerk allow. A greater speed is
-        reduced to what the rest of the motion allows. A motion that is about to end may change its speed less, or not at all,
-        because its joints brake at their limits. Torque limits are not considered; `check_torque` shows the torques.
+        The speed changes smoothly, as soon as the limits on position, speed, acceleration and jerk allow; the path stays. A
+        greater speed is reduced to what the rest of the motion allows. A motion that is about to end may change its speed less,
+        or not at all, because its joints brake at their limits. Torque limits are not considered; `check_torque` shows the
+        torques.
 
         Args:
             t: s, when the change is requested; until then nothing changes.
             factor: Of the speed, greater than 0.
-
-        Returns:
-            The motion; it never leaves the path.
 
         Raises:
             InputError: The time is outside the motion, or the factor is not greater than 0.

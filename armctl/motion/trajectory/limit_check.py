@@ -136,19 +136,18 @@ def _peaks(pieces: Pieces, limits: Limits, order: int, joint_names: tuple[str, .
 
 def is_inside(pieces: Pieces, limits: Limits) -> bool:
     """`check_limits(...).ok`, without the report."""
-    return bool(each_inside(pieces, limits).all())
+    return bool(each_inside(pieces.coefficients, np.diff(pieces.knots), limits).all())
 
 
-def each_inside(pieces: Pieces, limits: Limits) -> BoolArray:
-    """(m,) whether each piece keeps the limits."""
-    steps = np.diff(pieces.knots)
+def each_inside(coefficients: Array, steps: Array, limits: Limits) -> BoolArray:
+    """(m,) whether each of some polynomials (m, 6, n) keeps the limits during the first so many seconds (m,)."""
     inside = np.ones(len(steps), dtype=bool)
     for order in range(len(QUANTITIES)):
         low, high = _bounds(limits, order)
         half = 0.5 * (high - low)
         is_relative = np.isfinite(half) & (half > 0)
         tolerance = POSITION_TOLERANCE if order == 0 else RATIO_TOLERANCE * np.where(is_relative, half, 1.0)
-        inside &= (limit_excess(pieces.coefficients, steps, order, low, high) <= tolerance).all(axis=1)
+        inside &= (limit_excess(coefficients, steps, order, low, high) <= tolerance).all(axis=1)
     return inside
 
 
@@ -170,7 +169,7 @@ def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array
 
 def _on_unit_interval(coefficients: Array, steps: Array, order: int) -> Array:
     """A derivative of each piece as a function of the share of the piece, (d + 1 - order, m, n)."""
-    p = np.moveaxis(coefficients, 1, 0)
+    p = coefficients.swapaxes(0, 1)
     for _ in range(order):
         p = _derivative(p)
     return p * steps[:, None] ** np.arange(len(p))[:, None, None]
@@ -257,11 +256,11 @@ def limit_excess(coefficients: Array, steps: Array, order: int, low: Array, high
     """
     p = _on_unit_interval(coefficients, steps, order)
     hull = np.tensordot(_bernstein_basis(len(p) - 1), p, 1)
-    low = np.broadcast_to(low, p.shape[1:])
-    high = np.broadcast_to(high, p.shape[1:])
     excess = np.maximum(hull.max(axis=0) - high, low - hull.min(axis=0))
     doubtful = excess > 0
     if doubtful.any():
+        low = np.broadcast_to(low, excess.shape)
+        high = np.broadcast_to(high, excess.shape)
         values = polynomial_extremes(p[:, doubtful].T[:, :, None])[1][:, 0]
         excess[doubtful] = np.maximum(values.max(axis=1) - high[doubtful], low[doubtful] - values.min(axis=1))
     return excess

@@ -113,7 +113,9 @@ def _gentle(pieces: Pieces, limits: Limits, begin: float, lengths: Array, final:
 
 def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, final: float) -> Pieces | None:
     """The motion from `begin` on with the path speed going to `final`; None if a sample exceeds the acceleration limit."""
-    x = np.unique(np.concatenate([_EVEN.shares, _crossings(pieces.knots, begin, length, final)]))
+    crossed = pieces.knots[(pieces.knots > begin) & (pieces.knots < begin + 0.5 * (1 + final) * length)]
+    crossings = np.interp((crossed - begin) / length, _change(_FINE, final).progress, _FINE.shares)
+    x = np.unique(np.concatenate([_EVEN.shares, crossings]))
     inner = x[1:-1]
     is_apart = np.minimum(inner, np.diff(x)[1:]) * length > _MIN_PIECE_S
     x = np.concatenate([[0.0], inner[is_apart], [1.0]])
@@ -158,12 +160,6 @@ def _change(law: _Deceleration, final: float) -> _Deceleration:
     x = law.shares
     depth = 1 - final
     return _Deceleration(x, x + depth * (law.progress - x), 1 + depth * (law.speed - 1), depth * law.slope)
-
-
-def _crossings(knots: Array, begin: float, length: float, final: float) -> Array:
-    """The shares of a change of the path speed at which it crosses the knots of the motion."""
-    crossed = knots[(knots > begin) & (knots < begin + 0.5 * (1 + final) * length)]
-    return np.interp((crossed - begin) / length, _change(_FINE, final).progress, _FINE.shares)
 
 
 def remaining(pieces: Pieces, t: float) -> Pieces:

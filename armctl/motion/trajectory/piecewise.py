@@ -38,20 +38,25 @@ def standing(q: Array) -> Pieces:
 
 
 def hermite(t: Array, q: Array, v: Array, a: Array) -> Pieces:
-    """Quintic pieces that have positions q, velocities v and accelerations a, each (m + 1, n), at the times t (m + 1,).
+    """Quintic pieces that have positions q, velocities v and accelerations a, each (m + 1, n), at the times t (m + 1,)."""
+    return Pieces(t, quintics(np.diff(t), Samples(q[:-1], v[:-1], a[:-1]), Samples(q[1:], v[1:], a[1:])))
+
+
+def quintics(durations: Array, start: Samples, end: Samples) -> Array:
+    """(m, 6, n) polynomials of degree five that lead from m states to m others in some durations (m,).
 
     scipy's `BPoly.from_derivatives` computes the same, but takes 60 to 100 times as long (measured): it loops over the pieces.
     """
-    h = np.diff(t)[:, None]
-    v0 = v[:-1] * h
-    v1 = v[1:] * h
-    a0 = a[:-1] * h * h
-    a1 = a[1:] * h * h
-    d = q[1:] - q[:-1]
+    h = durations[:, None]
+    v0 = start.v * h
+    v1 = end.v * h
+    a0 = start.a * h * h
+    a1 = end.a * h * h
+    d = end.q - start.q
     c3 = 10 * d - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1
     c4 = -15 * d + 8 * v0 + 7 * v1 + 1.5 * a0 - a1
     c5 = 6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1)
-    return Pieces(t, np.stack([q[:-1], v[:-1], a[:-1] / 2, c3 / h**3, c4 / h**4, c5 / h**5], axis=1))
+    return np.stack([start.q, start.v, start.a / 2, c3 / h**3, c4 / h**4, c5 / h**5], axis=1)
 
 
 def joints_of(pieces: Pieces) -> Pieces:

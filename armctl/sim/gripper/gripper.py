@@ -110,11 +110,7 @@ class Gripper:
         return self._grasped()[0]
 
     def open(self) -> GripResult:
-        """Opens the gripper completely.
-
-        Returns:
-            How it ended.
-        """
+        """Opens the gripper completely."""
         return self.move(self.width_max)
 
     def move(self, width: float) -> GripResult:
@@ -145,9 +141,6 @@ class Gripper:
     def close(self) -> GripResult:
         """Grasps with a gentle force: 10 N, or half of the gripper's largest force if that is less.
 
-        Returns:
-            The result: ok if a body is held.
-
         Raises:
             SimulationError: The arm's controller failed.
         """
@@ -158,9 +151,6 @@ class Gripper:
 
         Args:
             force: N between the pads.
-
-        Returns:
-            The result: ok if a body is held.
 
         Raises:
             InputError: More force than the gripper has.

@@ -65,7 +65,6 @@ class FollowerReference:
         self._take(trajectory.scaled(self._rate).pieces, is_planned=True)
 
     def stop(self) -> None:
-        """Stops on the planned path."""
         if self.is_on_planned_path and not self._is_stopping:
             self._is_stopping = True
             self._motion = self._motion.stopped_at(min(self._t, self._motion.duration))
@@ -78,7 +77,6 @@ class FollowerReference:
         return pieces is not None
 
     def next(self, ticks: int) -> TickReference:
-        """The next ticks."""
         if self.is_on_planned_path and self._t >= self._motion.duration:
             self._take(standing(self.arm.limits.clamp(self.q)))
         q, v, a = self._motion.sample(self._t + self._dt * np.arange(ticks + 1))[:3]

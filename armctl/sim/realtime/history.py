@@ -19,9 +19,7 @@ class History:
         """An empty history of `n` joints with a sample every `interval` s."""
         size = int(DURATION_S / interval)
         self._t: Array = interval * np.arange(-size, 0, dtype=np.float64)
-        self._to_target = np.full(size, np.nan)
-        self._to_reference = np.full(size, np.nan)
-        self._torque_share = np.full((size, n), np.nan)
+        self._values = np.full((size, 2 + n), np.nan)
         self._next = 0
         self._interval = interval
         self._lock = threading.Lock()
@@ -31,21 +29,15 @@ class History:
         with self._lock:
             row = self._next
             self._t[row] = self._t[row - 1] + self._interval
-            self._to_target[row] = to_target
-            self._to_reference[row] = to_reference
-            self._torque_share[row] = torque_share
+            self._values[row] = (to_target, to_reference, *torque_share)
             self._next = (row + 1) % len(self._t)
 
     def read(self) -> Samples:
         """All samples, oldest first; NaN for times before the session began."""
         with self._lock:
             order = np.roll(np.arange(len(self._t)), -self._next)
-            return Samples(
-                t=self._t[order],
-                to_target=self._to_target[order],
-                to_reference=self._to_reference[order],
-                torque_share=self._torque_share[order],
-            )
+            values = self._values[order]
+            return Samples(self._t[order], values[:, 0], values[:, 1], values[:, 2:])
 
 
 class Samples(NamedTuple):

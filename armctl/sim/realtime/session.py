@@ -19,7 +19,7 @@ from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array, frozen, instance, number, vector
 from armctl.ik.solve import solve_ik
-from armctl.mjmodel.queries import contact_forces, keyframe_names
+from armctl.mjmodel.queries import contact_forces
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
 from armctl.sim.gripper.gripper import Gripper
@@ -44,18 +44,12 @@ class RealTimeSession:
 
     Commands are queued and executed between control updates; a newer command of the same kind replaces an older one. Other
     threads read `status` and `history` only.
-
-    Attributes:
-        history: Errors and torques of the last seconds.
-        keyframes: Names of the model's keyframes.
-        gripper_width_max: Largest width of the gripper, m; None without a gripper.
-        hand: The velocity at which a hand moves the target now, m/s and rad/s in world axes; None if none does.
     """
 
     def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
         """A session with the arm at home, and so many kg at the tip. Time stands still until `start`."""
         self.arm = arm
-        self.keyframes = keyframe_names(arm.model)
+        self.keyframes = tuple(arm.model.key(i).name or f"keyframe {i}" for i in range(arm.model.nkey))
         self._controller_name = controller
         self._controller: Controller = controller_by_name(controller, arm)
         self._payload = number("payload", payload, 0.0)
@@ -63,18 +57,19 @@ class RealTimeSession:
         self._ticks = max(1, round(UPDATE_INTERVAL_S / self._stepper.dt))
         self._interval = self._ticks * self._stepper.dt
         self._follower = TargetFollower(arm, self._stepper.dt, Obstacles(arm, self._stepper.data))
+        # The velocity at which a hand moves the target now, m/s and rad/s in world axes; None if none does.
         self.hand: Callable[[], tuple[Array, Array] | None] = lambda: None
         self._speed_override = 1.0
         self._clock = RealTimeClock()
-        self.history = History(arm.n, self._interval)
+        self.history = History(arm.n, self._interval)  # errors and torques of the last seconds
         self._gripper = self._gripper_of(self._stepper)
-        self.gripper_width_max = None if self._gripper is None else self._gripper.width_max
+        self.gripper_width_max = None if self._gripper is None else self._gripper.width_max  # m; None without a gripper
         self._commands: dict[str, Callable[[], None]] = {}
         self._commands_lock = threading.Lock()
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
         self._paused = False
-        self._standing_by = False
+        self.is_standing_by = False  # whether the session stands for another one
         self._elapsed = 0.0
         self._failure = ""
         self._restart()
@@ -188,14 +183,9 @@ class RealTimeSession:
         """Stops the session while another one moves another arm of the same model, or lets it go on."""
 
         def change() -> None:
-            self._standing_by = bool(standing_by)
+            self.is_standing_by = bool(standing_by)
 
         self._command("stand by", change)
-
-    @property
-    def is_standing_by(self) -> bool:
-        """Whether the session stands for another one."""
-        return self._standing_by
 
     def continue_from(self, qpos: Array) -> None:
         """Goes on where another session left the model, (nq,) positions: at rest there, with the target at the tip."""
@@ -212,12 +202,10 @@ class RealTimeSession:
         self._follower.prepare()
 
     def start(self) -> None:
-        """Starts the session's thread."""
         self._thread = threading.Thread(target=self._run, name="armctl session", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends the session's threads."""
         self._stopping.set()
         self._follower.close()
         if self._thread is not None:
@@ -248,7 +236,7 @@ class RealTimeSession:
             self._commands = {}
         for command in commands.values():
             command()
-        if self._paused or self._standing_by or self._failure or self._stepper.failure:
+        if self._paused or self.is_standing_by or self._failure or self._stepper.failure:
             return False
         self._follower.jog(self.hand(), self._interval * self._speed_override)
         reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.core.latest_worker import LatestWorker
 from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.target import Target
@@ -22,9 +22,6 @@ from armctl.robot.arm import Arm
 from armctl.sim.move import PlannedMove, plan_free
 from armctl.sim.obstacles import Obstacles
 from armctl.sim.realtime.follower_reference import FollowerReference
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 _IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
 _MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
@@ -79,7 +76,6 @@ class TargetFollower:
         self.stand(arm.home, arm.home)
 
     def close(self) -> None:
-        """Ends the thread that plans."""
         if self._worker is not None:
             self._worker.close()
 
@@ -153,7 +149,7 @@ class TargetFollower:
         self.refusal = ""
         self.path: PlannedPath | None = None
         self._request: object = None
-        self._answer: _Answer | None = None
+        self._answer: tuple[object, PlannedMove] | None = None  # to which request, and what was planned
         self.reference.stop()
 
     @property
@@ -246,7 +242,7 @@ class TargetFollower:
             except Exception as error:
                 _log.exception("planning failed")
                 move = PlannedMove(target, refusal=f"planning failed: {error}")
-            self._answer = _Answer(request, move)
+            self._answer = (request, move)
 
         if self._worker is None:
             self._worker = LatestWorker("armctl planning")
@@ -255,11 +251,12 @@ class TargetFollower:
     def _take_answer(self) -> None:
         """Shows what was planned, and follows it as soon as the reference has come to rest."""
         answer = self._answer
-        if answer is None or answer.request is not self._request:
+        if answer is None or answer[0] is not self._request:
             return
-        trajectory = answer.move.trajectory
+        move = answer[1]
+        trajectory = move.trajectory
         if trajectory is None:
-            self.refusal = answer.move.refusal
+            self.refusal = move.refusal
             self._request = None
             self._finished = True
             return
@@ -270,9 +267,3 @@ class TargetFollower:
             self._finished = True
             assert isinstance(trajectory, JointTrajectory)
             self.reference.follow(trajectory)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
-    request: object
-    move: PlannedMove
