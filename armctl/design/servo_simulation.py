@@ -13,12 +13,11 @@ import numpy as np
 from armctl.core.log import Log
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
-from armctl.sim.drivetrain import apply_drivetrain, drivetrain_of, new_model
+from armctl.sim.drivetrain import apply_drivetrain, drivetrain_of, finish_drivetrain, new_model
 from armctl.sim.plant import Plant, brake, held_dofs
 
 _ROLLOUTS_AT_ONCE = 16  # bounds the memory of their states
 _SOLVER_TOLERANCE = 1e-12  # of dry friction, so that finite differences show parameters and not its rounding
-_MIN_INERTIA_SHARE = 0.2
 _MIN_BACKLASH = 1e-6  # rad, of a joint that has a rotor in the model
 _LOST = 1e3  # rad, instead of positions that are not finite
 
@@ -54,9 +53,6 @@ class ServoSimulation:
         geared = Plant(backlash=_MIN_BACKLASH if gaps else 0.0)
         model = new_model([arm], geared)
         self._train = drivetrain_of([arm], geared)
-        if gaps:
-            # Forces of gaps and friction are then solved with the damping of the servo, as a light rotor needs.
-            model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_DISCRETE)
         self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9))  # from one sample to the next
         model.opt.timestep = dt / self._steps
         # Without a reset, unstable candidates end in numbers that are not finite. Contacts would take most of the time.
@@ -97,19 +93,15 @@ class ServoSimulation:
         model = copy.copy(self._model)
         gear = self.arm.gear
         set_rotors_and_friction(model, self.arm, parameters)
-        damping = parameters.damping
         if self._train.rotors:
-            step = model.opt.timestep
-            # An implicit step M (v' - v) / dt + D v' + K q' acts like the inertia M + D dt / 2 and the damping D + K dt.
-            inertia = np.maximum(parameters.armature - 0.5 * step * damping, _MIN_INERTIA_SHARE * parameters.armature)
-            damping = damping - step * parameters.stiffness
-            gaps = np.maximum(parameters.backlash, _MIN_BACKLASH)
-            apply_drivetrain(model, Plant(backlash=gaps, rotor_inertia=inertia), [self.arm], self._train)
+            geared = Plant(backlash=np.maximum(parameters.backlash, _MIN_BACKLASH), rotor_inertia=parameters.armature)
+            apply_drivetrain(model, geared, [self.arm], self._train)
             mujoco.mj_setConst(model, mujoco.MjData(model))
+            finish_drivetrain(model, geared, self._train)
         model.actuator_gainprm[self._actuators, 0] = parameters.stiffness / gear
         model.actuator_biasprm[self._actuators, 0] = 0.0
         model.actuator_biasprm[self._actuators, 1] = -parameters.stiffness / gear**2
-        model.actuator_biasprm[self._actuators, 2] = -damping / gear**2
+        model.actuator_biasprm[self._actuators, 2] = -parameters.damping / gear**2
         brake(model, held_dofs(self.arm))
         return model
 
