@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, ModelError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance
 from armctl.design.identified_model import IdentifiedArm
@@ -25,10 +25,9 @@ _INERTIA_SHARE = 0.05  # of a joint's inertia, where to start with a file that h
 _RANGE = 100.0  # the bounds of armature, stiffness and damping over their values in the file, and reversed
 _FRICTION_SHARE = 0.05  # of a joint's typical torque: the unit of dry friction in the fit
 _BACKLASH_UNIT = 0.01  # rad, in the fit
-_START_BACKLASHES = (0.1, 0.3, 0.6, 1.0, 2.0)  # in this unit
+_START_BACKLASHES = (0.0, 0.1, 0.3, 0.6, 1.0, 2.0)  # in this unit
 _MAX_BACKLASH = 10.0
 _MAX_BACKLASH_ERROR = 0.25  # in this unit: with a larger standard error a recording does not show it
-_MIN_BACKLASH_GAIN = 0.9  # of the sum of squares of a joint, by the best of these
 _SIGNIFICANT = 3.0  # standard errors of a backlash that is not taken for zero
 _MAX_DELAY_S = 0.25
 _START_DELAYS = np.linspace(0.0, 0.12, 7)
@@ -260,7 +259,7 @@ class _Fit:
         self.free = ~np.concatenate([np.tile(self._still, 4), none, ~none, [False]])
         self.unseen = ~self.free  # (p,) True for those that the recording does not show
         self._absent = np.zeros(len(self.z), bool)  # (p,) True for a backlash that the recording shows to be none
-        self._alone = np.zeros(len(self.z))
+        self._alone = np.full(len(self.z), np.nan)  # (p,) standard errors with all that is free
         self._J = np.zeros((0, 0))
 
     def parameters(self, z: Array) -> ServoParameters:
@@ -321,31 +320,26 @@ class _Fit:
 
     def find_backlash(self) -> None:
         """Adds backlash to the fit, from the best of a grid for each joint, and keeps what is significant."""
-        gaps = slice(5 * self._n, 6 * self._n)
-        if self.arm.recipe is None:  # no rotors can be added to a compiled model
+        rigid = (self._simulation, self.z, self._J)
+        try:
+            self._simulation = ServoSimulation(self.arm, self._log.dt, True)
+        except (InputError, ModelError):  # no rotors can be added, as to a compiled model
             return
-        rigid = (self._simulation, self.z.copy(), self._J)
-        self._simulation = ServoSimulation(self.arm, self._log.dt, True)
-        starts = [np.where(np.arange(len(self.z)) // self._n == 5, gap, self.z) for gap in (0.0, *_START_BACKLASHES)]
-        costs = (self._many(starts) ** 2).sum(axis=1)
-        best = costs[1:].argmin(axis=0) + 1
-        found = (costs[1:].min(axis=0) < _MIN_BACKLASH_GAIN * costs[0]) & ~self._still
-        # A joint without backlash: how large one would have to be to show.
-        excess = np.maximum(costs[-1] - costs[0], np.finfo(float).tiny)
-        self._alone[gaps] = _START_BACKLASHES[-1] * np.sqrt(costs[0] / len(self._log) / excess)
-        if found.any():
-            self.z[gaps] = np.where(found, np.array((0.0, *_START_BACKLASHES))[best], 0.0)
-            self.free[gaps] = found
-            self.solve()
-            self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
-            found &= self.z[gaps] > _SIGNIFICANT * self._alone[gaps]
-            insignificant = not np.array_equal(found, self.free[gaps])
-            self.free[gaps] = found
-            if found.any() and insignificant:
-                self.solve()
+        gaps = slice(5 * self._n, 6 * self._n)
+        starts = [np.where(np.arange(len(self.z)) // self._n == 5, gap, self.z) for gap in _START_BACKLASHES]
+        best = (self._many(starts) ** 2).sum(axis=1).argmin(axis=0)
+        self.z = starts[0]
+        self.z[gaps] = np.array(_START_BACKLASHES)[best]
+        self.free[gaps] = ~self._still
+        self.solve()
+        self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
+        found = self.z[gaps] > _SIGNIFICANT * self._alone[gaps]
         self._absent[gaps] = ~found & ~self._still & (self._alone[gaps] < _MAX_BACKLASH_ERROR)
+        self.free[gaps] = found
         if not found.any():
             self._simulation, self.z, self._J = rigid
+        elif not found.all():
+            self.solve()
 
     def _limit(self) -> Array:
         """(p,) the largest standard errors of parameters that a recording shows."""
@@ -373,9 +367,7 @@ class _Fit:
                 break
             self.free[worst] = False
         self.unseen |= ~self.free & ~self._absent
-        if self.unseen[
-            : 5 * self._n
-        ].any():  # all joints show the delay: it must not make up for the file's values of single joints
+        if self.unseen[: 5 * self._n].any():  # all joints show the delay: it must not make up for the file's values of others
             self.free[-1] = False
             self._file_z[-1] = self.z[-1]
         return not np.array_equal(before, self.free)

@@ -14,7 +14,7 @@ from armctl.core.log import Log
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.sim.drivetrain import apply_drivetrain, drivetrain_of, finish_drivetrain, new_model
-from armctl.sim.plant import Plant, brake, held_dofs
+from armctl.sim.plant import Plant, apply_plant, brake, held_dofs
 
 _ROLLOUTS_AT_ONCE = 16  # bounds the memory of their states
 _SOLVER_TOLERANCE = 1e-12  # of dry friction, so that finite differences show parameters and not its rounding
@@ -52,11 +52,12 @@ class ServoSimulation:
         self.arm = arm
         geared = Plant(backlash=_MIN_BACKLASH if gaps else 0.0)
         model = new_model([arm], geared)
+        apply_plant(model, mujoco.MjData(model), Plant(), [arm])  # its masses and places are the arm's, not the file's
         self._train = drivetrain_of([arm], geared)
         self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9))  # from one sample to the next
         model.opt.timestep = dt / self._steps
-        # Without a reset, unstable candidates end in numbers that are not finite. Contacts would take most of the time.
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        # A plant has no reset: unstable candidates end in numbers that are not finite. Contacts would take most of the time.
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.opt.tolerance = _SOLVER_TOLERANCE
         self._actuators = arm.model.actuator_ctrladr.searchsorted(arm.ctrl_adr)
         model.actuator_delay[:] = 0.0

@@ -1,5 +1,6 @@
 """The position servos of an arm are found from commanded and measured positions; another motion is the judge."""
 
+import copy
 from dataclasses import replace
 
 import mujoco
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 
 import armctl
+from armctl.design.servo_simulation import ServoSimulation
+from armctl.robot.arm import with_model
 
 DT = 0.02
 SECONDS = 8.0
@@ -109,6 +112,20 @@ def test_backlash_is_found_where_there_is_one(known, file):
     assert (found.errors.backlash > 0).all()
 
 
+def test_a_gap_is_between_the_motor_and_the_link_of_the_arm_and_not_of_its_file(known):
+    """The links of a heavy arm with gaps droop from motors without friction by half a gap, towards the side of their weight."""
+    arm, found = known
+    heavy = copy.copy(arm.model)
+    heavy.body_mass[:] *= 2
+    simulation = ServoSimulation(with_model(arm, heavy), DT, True)
+    model = simulation.model(replace(found.parameters, backlash=np.array([0.02, 0.03])))
+    assert model.body_mass[: heavy.nbody] == pytest.approx(heavy.body_mass)
+    data = mujoco.MjData(model)
+    data.ctrl[:] = data.qpos[:2] = data.qpos[2:] = (0.5, 0.3)
+    mujoco.mj_step(model, data, 2000)
+    assert data.qpos[:2] - data.qpos[2:] == pytest.approx([0.01, 0.015], abs=1e-3)
+
+
 def test_another_motion_is_predicted_to_the_resolution_of_the_encoder(known):
     arm, found = known
     fresh = recorded(arm, 3)
@@ -158,9 +175,12 @@ def test_a_judge_that_moves_otherwise_rejects(known, file):
     arm, _ = known
     judge = recorded(arm, 2)
     judge = replace(judge, q=judge.q + 0.05 * np.sin(3 * judge.t)[:, None])
-    found = armctl.identify_servo(arm, recorded(arm, 1), judge=judge, source=file)
+    compiled = armctl.load(mujoco.MjModel.from_xml_path(str(file)), tip="tip")  # it can get no gaps
+    found = armctl.identify_servo(compiled, recorded(arm, 1), judge=judge, source=file)
     assert not found
     assert "along the judge" in found.reason
+    assert found.unseen == ("a backlash", "b backlash")
+    assert np.isnan(found.errors.backlash).all()
     with pytest.raises(armctl.InputError, match="not identified"):
         found.applied_to(arm)
 
