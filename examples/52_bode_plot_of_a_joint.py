@@ -1,5 +1,8 @@
 """The frequency response of an elastic joint from a recording, its resonance, and a filter for a law that it disturbs."""
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 
 import armctl
@@ -26,7 +29,7 @@ fits = [response.two_mass() for response in responses]
 for response, fit in zip(responses, fits, strict=True):
     print(response)
     print(fit)
-responses[1].plot("bode.svg")
+print(f"drawn: {responses[1].plot(Path(tempfile.gettempdir()) / 'bode.svg')}")
 
 known = armctl.TwoMass.plant(arm, fits, motion(0.0).q, armctl.Plant(timestep=0.001, delay=2))
 print(armctl.propose_filter(arm, "computed-torque", motion(0.0).q, known))

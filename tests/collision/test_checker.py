@@ -229,6 +229,9 @@ def test_what_is_allowed_is_a_list_of_pairs(arm, allow):
 def test_an_unknown_name_in_what_is_allowed_gets_a_suggestion(arm):
     with pytest.raises(armctl.UnknownNameError, match="did you mean 'plate'"):
         CollisionChecker(arm, allow=[("link1", "plato")])
+    first = arm.model.body(1).name
+    with pytest.raises(armctl.UnknownNameError, match=f"did you mean '{first}'"):
+        CollisionChecker(arm, allow=[("link1", f"{first}x")])
 
 
 def test_threads_get_the_answers_of_one_thread(arm):

@@ -1,6 +1,7 @@
 """Joint offsets, lengths, axes and frames are found from measured poses of an arm that MuJoCo moves."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ from synthetic import BENT, SHAPES, serial_arm
 
 import armctl
 from armctl.collision.checkers import collision_checker
+from armctl.design.calibration_poses import _exchanged
 
 NOISE = 1e-4  # m
 SHIFT = np.array([0.004, -0.003, 0.002])
@@ -227,3 +229,15 @@ def test_poses_that_cannot_be_had_are_one_sentence():
         armctl.calibration_poses(arm, 8, visible=lambda T: False)
     with pytest.raises(armctl.InputError, match="parameters need at least"):
         armctl.calibration_poses(arm, 4)
+
+
+def test_the_chosen_poses_are_those_with_the_most_information():
+    """Of all triples of ten poses, none has a larger determinant of the information."""
+    J = np.random.default_rng(3).normal(size=(10, 3, 4)) * np.geomspace(1.0, 8.0, 10)[:, None, None]
+
+    def information(poses):
+        rows = np.concatenate(J[list(poses)])
+        return np.linalg.det(rows.T @ rows)
+
+    best = max(combinations(range(10), 3), key=information)
+    assert sorted(_exchanged(J, 3)) == list(best)

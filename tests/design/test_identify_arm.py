@@ -171,7 +171,9 @@ def test_the_validation_uses_torques_that_the_fit_has_not_seen(arms, motions):
         np.sqrt(((found.validation.measured - found.validation.predicted) ** 2).mean(axis=0))
     )
     assert not spoiled
+    # The arm of the model is weaker than the real one, so that torques of zero are nearer to its own.
     assert spoiled.reason.startswith("validation failed: ")
+    assert spoiled.reason.endswith(" N m by the model before the fit")
     assert found.validation.t[0] >= 0.79 * log.t[-1]
     assert spoiled.inertia == pytest.approx(found.inertia, abs=0.3)
 

@@ -17,6 +17,7 @@ from armctl.control import CONTROLLERS, controller_by_name
 from armctl.control.gains import MAX_PEAK_SENSITIVITY, sample_configurations
 from armctl.control.margin_exceptions import _pd_peak_sensitivity
 from armctl.control.observer_gains import PAYLOAD_LEVER_M, max_unknown_payload
+from armctl.design.frequency_response import _response
 from armctl.design.linearization import Linearizer
 
 PLANT = armctl.Plant(timestep=0.004)
@@ -143,6 +144,16 @@ def test_noise_is_no_nonlinear_share(arm):
     assert found.ok, found.reason
     assert 0.5 < found.coherence.min() < 0.9999
     assert found.nonlinear.max() < 0.1
+
+
+def test_the_variance_of_a_response_is_that_of_repeated_measurements():
+    rng = np.random.default_rng(4)
+    lines = np.array([5, 9, 15])
+    time = np.arange(64)
+    signal = sum(np.cos(2 * np.pi * line * time / 64 + line) for line in lines)
+    found = [_response(signal + rng.normal(size=(4, 64)), signal, lines) for _ in range(3000)]
+    scatter = np.var([each.response for each in found], axis=0)
+    assert np.mean([each.variance for each in found], axis=0) == pytest.approx(scatter, rel=0.1)
 
 
 @pytest.mark.parametrize("controller", ["pd", "computed-torque"])

@@ -1,6 +1,7 @@
 """All tasks: what Gymnasium asks, what is randomized, what counts, and experts that solve them."""
 
 import contextlib
+from dataclasses import replace
 
 import gymnasium
 import mujoco
@@ -12,7 +13,9 @@ from synthetic import arm_with_gripper, short_arm_with_jaw
 import armctl
 import armctl.envs
 from armctl.envs.experts import planned
-from armctl.envs.tasks.tool import find_tool
+from armctl.envs.experts.interface import within_step
+from armctl.envs.tasks.table import find_table
+from armctl.envs.tasks.tool import Tool, find_tool
 from armctl.ik.solve import solve_ik
 from armctl.motion.move_j import move_j
 from armctl.planning.move_free import move_free
@@ -98,6 +101,17 @@ def test_the_expert_acts_by_other_actions(action):
     env.reset(seed=1)
     successes = [env.step(policy())[4]["is_success"] for _ in range(env.batch.horizon)]
     assert successes[-1]
+
+
+def test_an_action_that_is_too_large_is_shortened_and_a_delta_keeps_its_direction():
+    for action, wanted, possible in (
+        ("joint_delta", [2.0, -4.0, 1.0], [0.5, -1.0, 0.25]),
+        ("joint_delta", [0.2, -0.4, 0.1], [0.2, -0.4, 0.1]),
+        ("joint_target", [2.0, -4.0, 0.1], [1.0, -1.0, 0.1]),
+        ("cartesian_delta", [0.5, 2.0, 1.0], [0.25, 1.0, 0.5]),
+    ):
+        batch = armctl.envs.ArmEnv(ROBOT, "Reach", action).batch
+        assert within_step(batch, np.array(wanted)).tolist() == possible
 
 
 def test_the_expert_rejects_a_plan_that_touches_in_the_rehearsal(make, monkeypatch):
@@ -237,6 +251,31 @@ def test_a_tool_with_the_tip_at_its_joint_points_to_where_it_extends_farther(sid
     tool = find_tool(arm, [data])
     assert (tool.axis, tool.sign) == ("z", side)
     assert tool.overhang == pytest.approx(0.11, abs=1e-6)
+
+
+@pytest.mark.parametrize("axis", "xyz")
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_tool_that_points_down_is_turned_and_not_mirrored(axis, sign):
+    tool = Tool(axis, sign, 0.1, 0.02)
+    rotation = tool.rotation_down
+    assert rotation @ rotation.T == pytest.approx(np.eye(3))
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    assert rotation @ tool.end == pytest.approx([0.0, 0.0, -0.1])
+
+
+@pytest.mark.parametrize("turn", [1.0, -0.7])
+def test_a_table_is_ahead_of_the_arm_wherever_its_home_looks(gripping, turn):
+    arm = armctl.load(gripping)
+    state = mujoco.MjData(arm.model)
+    state.qpos[:] = arm.home_qpos
+    mujoco.mj_forward(arm.model, state)
+    tool = find_tool(arm, [state])
+    headings = []
+    for each in (arm, replace(arm, home=arm.home + turn * np.eye(arm.n)[0])):
+        table, _ = next(find_table(each, tool, low=0.05, lift=0.05, margin=0.02, height=0.05, task="Push"))
+        x, y = table.center[:2] - table.base
+        headings.append(np.arctan2(y, x))
+    assert headings[1] - headings[0] == pytest.approx(turn, abs=1e-6)
 
 
 def test_an_arm_that_does_not_fit_is_refused_in_one_sentence():
