@@ -155,6 +155,17 @@ def test_a_log_keeps_the_wrench_in_a_file(at_wall, tmp_path):
     assert np.array_equal(armctl.Log.load(log.save(tmp_path / "log.npz")).wrench, log.wrench)
 
 
+def test_what_accelerates_the_arm_is_no_wrench(six_joints):
+    motion = armctl.move_j(six_joints, six_joints.home, six_joints.home + 0.4)
+    watching = Watching(armctl.ComputedTorque(six_joints))
+    armctl.simulate(six_joints, watching, motion, armctl.Plant(timestep=0.001, wrench_source="torques"), dwell=0.0)
+    seen = np.abs(watching.seen)
+    at_rest = six_joints.inverse_dynamics(six_joints.home, *np.zeros((2, 6)))
+    moving = six_joints.inverse_dynamics(six_joints.home, np.zeros(6), motion.sample(np.array([0.02])).a[0])
+    assert np.abs(moving - at_rest).max() > 3.0  # N m
+    assert seen.max() < 0.1
+
+
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
