@@ -12,6 +12,15 @@ from armctl import ArmctlError
 from armctl.core.uninterrupted import uninterrupted_import
 
 
+@pytest.fixture
+def ctrl_c():
+    """Ctrl-C raises KeyboardInterrupt, also in a job in the background, which begins with a shell that ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 def test_an_interrupt_is_delivered_after_the_block():
     before = signal.getsignal(signal.SIGINT)
     reached = []
@@ -55,6 +64,7 @@ def test_another_failed_import_stays_what_it_is():
 def test_an_interrupted_first_call_can_be_repeated(module: str):
     code = f"""
         import signal, sys
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         import armctl
 
         class Interrupt:

@@ -91,7 +91,7 @@ def test_the_tip_moves_while_a_visitor_renews_and_stops_when_the_visitor_is_gone
         hold(page, client, UP, lambda: height(page) > low + 0.01)
         client.close()
         until(lambda: page.scene.devices.velocity is None, "the velocity stays")
-        until(lambda: page.session.status.position_error < 1e-3, "the arm does not come to rest")
+        until(lambda: page.session.status.position_error < 1e-5, "the arm does not come to rest")
         q = page.session.status.q
         elapsed = page.session.status.elapsed
         until(lambda: page.session.status.elapsed > elapsed + 0.5, "the session stands")
