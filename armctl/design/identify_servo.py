@@ -161,8 +161,9 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     judged = np.sqrt(np.mean(along[:, round(_SETTLING_S / judge.dt) :] ** 2, axis=1))
     rms = np.sqrt(np.mean(fit.residuals(fit.z) ** 2, axis=0))
     lag = np.sqrt(np.mean((judge.q_ref - judge.q) ** 2, axis=0))
+    reason = _reason(arm, rms, lag, *judged)
     return ServoEstimate(
-        ok=not (reason := _reason(arm, rms, lag, *judged)),
+        ok=not reason,
         reason=reason,
         arm=arm,
         parameters=found,

@@ -81,7 +81,8 @@ class Loop:
     _position: Array
     _law: StateSpace
     _tip_jacobian: Array
-    _noise: Array  # (3, n) standard deviations: see `sensor_noise`
+    # (3, n) standard deviations: of positions that velocities are differenced from, of other positions, and of velocities
+    _noise: Array
 
     @property
     def n(self) -> int:
@@ -162,7 +163,7 @@ class Loop:
         return bool(np.abs(self._poles).max() < 1.0)
 
     def modes(self) -> Array:
-        """The vibrations of the closed loop.
+        """All modes of the closed loop that oscillate, also those that no joint shows.
 
         Returns:
             (k, 2) frequency, rad/s, with its damping, and damping ratio of each; the least damped one first.

@@ -128,7 +128,7 @@ def test_without_a_plan_the_limits_of_the_tick_hold(arm):
     assert (np.abs(log.tau_cmd) <= slow.limits.tau_max).all()
 
 
-@pytest.mark.parametrize(("seed", "rate", "contradicts"), [(3, 30.0, True), (21, 200.0, False)])
+@pytest.mark.parametrize(("seed", "rate", "contradicts"), [(3, 30.0, True), (3, 40.0, False), (21, 200.0, False)])
 def test_the_plan_foresees_the_limit_of_the_torque_rate(arm, seed, rate, contradicts):
     motion = random_motion(arm, seed)
     law = armctl.MPC(arm, torque_rate=rate)

@@ -62,12 +62,15 @@ def test_the_motion_keeps_all_limits_and_never_turns_in_a_measured_period(arm, m
 
 
 @pytest.mark.parametrize(
-    "plant",  # MuJoCo's dry friction is viscous at low speed: more of it, the lighter the rotor
-    [armctl.Plant(timestep=0.002, coulomb_friction=1.0, delay=2), replace(ELASTIC, coulomb_friction=0.1, elastic_damping=0.1)],
+    ("plant", "largest_bound"),  # MuJoCo's dry friction is viscous at low speed: more of it, the lighter the rotor
+    [
+        (armctl.Plant(timestep=0.002, coulomb_friction=1.0, delay=2), 0.1),
+        (replace(ELASTIC, coulomb_friction=0.1, elastic_damping=0.1), 0.2),
+    ],
 )
-def test_the_true_response_is_within_the_bounds_in_spite_of_friction_delay_noise_and_springs(arm, plant):
+def test_the_true_response_is_within_the_bounds_in_spite_of_friction_delay_noise_and_springs(arm, plant, largest_bound):
     inside = []
-    for seed in range(2):
+    for seed in range(3):
         start = arm.home + np.random.default_rng(seed).uniform(-0.3, 0.3, arm.n)
         motion = armctl.excitation(arm, for_="frequency", seed=seed, start=start)
         plant = replace(plant, encoder_noise=2e-6, seed=seed)
@@ -77,7 +80,7 @@ def test_the_true_response_is_within_the_bounds_in_spite_of_friction_delay_noise
         for joint, of in product(range(arm.n), ("plant", "sensitivity")):
             found = armctl.FrequencyResponse.from_log(log, motion, joint, of, loop=loop, positions=seen)
             assert found.ok, found.reason
-            assert np.median(found.bound / np.abs(found.measured)) < 0.2
+            assert np.median(found.bound / np.abs(found.measured)) < largest_bound
             inside.append(np.abs(found.measured - found.predicted) <= found.bound)
     assert 0.90 < np.mean(inside) < 0.99
 

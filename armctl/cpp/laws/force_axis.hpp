@@ -98,7 +98,11 @@ private:
         if (pressing < first_ratio * tick.threshold || tick.target == 0.0) {
             first_force = 0.0;
             depth = 0.0;
-            depth_depth = depth_speed = speed_speed = depth_force = speed_force = 0.0;
+            depth_depth = 0.0;
+            depth_speed = 0.0;
+            speed_speed = 0.0;
+            depth_force = 0.0;
+            speed_force = 0.0;
             return;
         }
         const double speed = sign * tick.speed;
