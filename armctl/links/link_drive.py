@@ -24,6 +24,7 @@ from armctl.links.process import RemoteHost
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces, hermite, sample, standing
 from armctl.robot.arm import Arm
+from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.recorder import Recorder, ReferenceTips, RunInfo
 
 _AHEAD_S = 0.05  # before its chunk of a moving reference is over, `run` returns, so that the next one can be planned
@@ -44,6 +45,7 @@ class _Stream:
     course: Pieces | None = None  # the motion that was sent last
     at: int = 0  # its first tick
     tick: int = -1  # the tick of the last row that was played
+    felt: int = 0  # that of the last reading in which contacts were felt
 
 
 @dataclass
@@ -79,6 +81,8 @@ class LinkDrive:
         self._tips = ReferenceTips()
         # Takes each reading, what the robot was told then, (n,) rad each, and its state in words; it must not wait
         self.observer: Callable[[Array, Array, str], None] | None = None
+        self.reaction: ContactReaction | None = None  # feels contacts while it is set; where one is felt, the arm stops
+        self.passed = 0.0  # s of the motion, until a contact was felt in it
         self._stream: _Stream | None = None
         self._recorder: _LinkRecorder | None = None
         self._trajectory: tuple[TickReference, Trajectory] | None = None
@@ -200,7 +204,7 @@ class LinkDrive:
         """Waits until the arm rests; with `stop` it brakes on its path."""
         segment = self._recorder.segments[-1] if self._recorder is not None and self._recorder.segments else None
         try:
-            if stop and self._stream is not None:
+            if (stop or self._has_contact) and self._stream is not None:
                 failure = self.failure
                 self._host.stop(_STOPPED)
                 while self._stream is not None:
@@ -268,7 +272,9 @@ class LinkDrive:
         """Mirrors and records until a row was played, or the stream has ended."""
         while self._stream is not None and self._stream.tick < tick:
             if self._passes_time and isinstance(self._host, LinkHost):
-                while self._host.streaming and self._stream.tick < tick:
+                between = max(1, round(_POLL_INTERVAL_S / self.dt))
+                until = tick if self.reaction is None else min(tick, self._stream.tick + between)
+                while self._host.streaming and self._stream.tick < until:
                     self._host.advance()
                     self._stream.tick += 1
             else:
@@ -284,6 +290,8 @@ class LinkDrive:
         for k in range(len(readings.tick)):
             self._see(readings.t[k], readings.q[k], readings.v[k])
         if self._stream is not None:
+            if self.reaction is not None and len(readings.tick) and not self._has_contact:
+                self._feel(self.reaction, self._stream, readings)
             self._stream.tick = progress.tick
             if not progress.streaming:
                 self._stream = None
@@ -295,6 +303,19 @@ class LinkDrive:
             self._end = readings.sent[-1]
         if self.observer is not None and len(readings.sent):
             self.observer(readings.q[-1], readings.sent[-1], self.fault or f"t = {self.data.time:.1f} s")
+
+    @property
+    def _has_contact(self) -> bool:
+        return self.reaction is not None and bool(self.reaction.contact)
+
+    def _feel(self, reaction: ContactReaction, stream: _Stream, readings: Readings) -> None:
+        for k, tick in enumerate(readings.tick.astype(int)):
+            dt = self.dt * max(1, tick - stream.felt)
+            stream.felt = tick
+            reaction.update(readings.t[k] - self._t0, readings.q[k], readings.v[k], readings.tau[k], dt)
+        if reaction.contact:
+            self.passed = self.dt * max(0, stream.felt - stream.at)
+            self._host.stop(reaction.felt)
 
     def _lose(self, fault: str) -> None:
         self._stream = None

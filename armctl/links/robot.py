@@ -13,14 +13,13 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from armctl.control import State
 from armctl.core import hooks
 from armctl.core.errors import InputError, LinkError
 from armctl.core.log import Log
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
-from armctl.core.trajectory import Setpoint, Trajectory
-from armctl.core.validation import Array, flag, number
+from armctl.core.trajectory import Trajectory
+from armctl.core.validation import flag, instance, number
 from armctl.links.dry_run import DryRun, rehearsal_of
 from armctl.links.envelope import envelope_of
 from armctl.links.hand import Hand
@@ -29,14 +28,16 @@ from armctl.links.link import Link, check_link
 from armctl.links.link_check import LinkCheck, link_check_of, model_refusal, tip_difference
 from armctl.links.link_drive import LinkDrive
 from armctl.links.process import RemoteHost
+from armctl.links.robot_arms import RobotArms
 from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces, sample
 from armctl.robot.arm import Arm
 from armctl.sim.commands import Commands
+from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.follow import MovingTarget
-from armctl.sim.move import ControlledArms, PlannedMove
+from armctl.sim.move import PlannedMove
 
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
@@ -112,7 +113,8 @@ class Robot(Commands):
                 raise LinkError(refusal)
             self._drive = LinkDrive(arm, self._host, link, envelope, tip_speed)
             failed.pop_all()
-        super().__init__(ControlledArms([arm], {arm.tip: _OwnServo(link.name)}, self._drive))
+        self._robot_arms = RobotArms(arm, self._drive, self._provable)
+        super().__init__(self._robot_arms)
         self._settle = link.settle
         self._closed = False
 
@@ -126,6 +128,25 @@ class Robot(Commands):
         hand = Hand(self._host.hand)
         hand.width  # noqa: B018  # LinkError if there is none
         return hand
+
+    @property
+    def reaction(self) -> ContactReaction | None:
+        """The reaction to contacts during moves and `run`, "stop" or "retreat"; None for none.
+
+        It is felt in the program, so that the arm brakes about 25 ms later; the robot's own reaction is faster.
+        """
+        return self._robot_arms.reaction
+
+    @reaction.setter
+    def reaction(self, reaction: ContactReaction | None) -> None:
+        if reaction is not None:
+            instance("reaction", reaction, ContactReaction, "armctl.ContactReaction(arm) is one")
+            if reaction.reaction == "float":
+                raise InputError("reaction: a robot takes positions only and cannot float; 'stop' and 'retreat' are possible")
+            seen = self._host.read()
+            if not (np.isfinite(seen.v).all() and np.isfinite(seen.tau).all()):
+                raise InputError(f"reaction: {self.link.name} measures no speeds and torques, so that it feels no contact")
+        self._robot_arms.reaction = reaction
 
     @property
     def lost_ticks(self) -> int:
@@ -285,40 +306,39 @@ class Robot(Commands):
             print(rehearsal)
         return log
 
+    def _provable(self, trajectory: JointTrajectory) -> JointTrajectory | None:
+        """A motion at the speed that is allowed; None if it may not be sent."""
+        share, _ = self._speed_share(trajectory.pieces)
+        slow = trajectory if share >= 1.0 else trajectory.scaled(max(share, _SLOWEST))
+        return None if self._refusal(slow.pieces) else slow
+
     def _slowed(self, move: PlannedMove) -> PlannedMove:
         """A move at the speed that the tip and the maker's limits near the ends of the joints allow; a refusal if near zero."""
         trajectory = move.trajectory
         if not isinstance(trajectory, JointTrajectory):
             return move
-        samples = sample(trajectory.pieces, np.linspace(0.0, trajectory.duration, _SAMPLES))
-        low, high = self._drive.envelope.speed_limits(samples.q)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shares = np.where(samples.v > 0.0, high / samples.v, np.where(samples.v < 0.0, low / samples.v, np.inf))
-        tip_share = self._drive.tip_speed / max(self._drive.tip_speed_of(trajectory.pieces), 1e-9)
-        share = 0.99 * min(float(shares.min()), tip_share)
+        share, joint = self._speed_share(trajectory.pieces)
         if share >= 1.0:
             return move
         if share < _SLOWEST:
-            joint = self.arm.joint_names[int(shares.min(axis=0).argmin())]
             reason = (
                 f"{joint} would be so near to the end of its range that the robot allows it no speed; choose another target"
             )
             return replace(move, trajectory=None, refusal=reason)
         return replace(move, trajectory=trajectory.scaled(share))
 
+    def _speed_share(self, pieces: Pieces) -> tuple[float, str]:
+        """The share of its speed at which a motion may be made, and the joint whose range allows the least."""
+        samples = sample(pieces, np.linspace(0.0, pieces.knots[-1], _SAMPLES))
+        low, high = self._drive.envelope.speed_limits(samples.q)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.where(samples.v > 0.0, high / samples.v, np.where(samples.v < 0.0, low / samples.v, np.inf))
+        tip_share = self._drive.tip_speed / max(self._drive.tip_speed_of(pieces), 1e-9)
+        return 0.99 * min(float(shares.min()), tip_share), self.arm.joint_names[int(shares.min(axis=0).argmin())]
+
     def _unlock(self) -> None:
         if self._lock is not None:
             self._lock.close()
-
-
-class _OwnServo:
-    """The robot's own servo, in the place of a controller."""
-
-    def __init__(self, name: str):
-        self.name = name
-
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        raise LinkError("the robot's own servo computes its torques")
 
 
 def _lock(address: str) -> IO[str] | None:

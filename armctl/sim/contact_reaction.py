@@ -1,4 +1,4 @@
-"""ContactReaction: what a simulation does when the arm feels a contact during a motion."""
+"""ContactReaction: what an arm does when it feels a contact during a motion."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ _Run = Callable[[Controller, TickReference, Recorder], None]
 class ContactReaction:
     """Stops a motion on its path where a contact is felt; the arm then stays, goes back along the path, or floats.
 
-    Assign it to `Simulation.reaction`. All motions keep the limits of the arm. The ticks are run in Python.
+    Assign it to `Simulation.reaction`, whose ticks are then run in Python, or to `Robot.reaction`. All motions keep the limits
+    of the arm.
 
     Attributes:
         force: The observer.
         reaction: "stop", "retreat" or "float".
         seconds: s, how far back along the path a retreat goes, or how long the arm floats.
         contact: What was felt in the last motion; empty if nothing was.
-        time: s of simulated time, when it was felt; NaN if nothing was.
+        time: s of simulated time, or since the robot was connected, when it was felt; NaN if nothing was.
     """
 
     def __init__(self, arm: Arm, force: ExternalForce | None = None, reaction: str = "stop", seconds: float = 0.3):
@@ -49,9 +50,40 @@ class ContactReaction:
         instance("force", self.force, ExternalForce, "armctl.ExternalForce(arm) is one")
         self.reaction = choice("reaction", reaction, REACTIONS)
         self.seconds = number("seconds", seconds, 0.0, 3600.0)
+        self._arm = arm
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the last motion."""
         self.contact = ""
         self.time = float("nan")
-        self._arm = arm
+        self.force.reset()
+
+    @property
+    def felt(self) -> str:
+        """What was felt, and when; empty if nothing was."""
+        return f"contact at {self.time:.3f} s: {self.contact}" if self.contact else ""
+
+    def update(self, t: float, q: Array, v: Array, torque: Array, dt: float) -> None:
+        """Takes the measurements of a tick, as `ExternalForce.update`; the first alarm is what was felt."""
+        self.force.update(q, v, torque, dt)
+        if not self.contact and (alarm := self.force.alarm):
+            self.contact = alarm
+            self.time = t
+
+    def way_back(self, arm: Arm, trajectory: Trajectory, passed: float, start: Array) -> JointTrajectory | None:
+        """The motion of a retreat, from where the arm stopped to where it was before the contact; None if there is none.
+
+        Args:
+            arm: The arm, with the limits of the motion.
+            trajectory: The motion that was stopped.
+            passed: s of it, until it was.
+            start: (n,) rad, where it stopped.
+        """
+        goal = trajectory(max(passed - self.seconds, 0.0)).q
+        if self.reaction != "retreat" or np.abs(goal - start).max() < _SHORTEST_RETREAT:
+            return None
+        return move_j(arm, arm.limits.clamp(start), goal)
 
     def run(
         self,
@@ -79,19 +111,16 @@ class ContactReaction:
         """
         if not isinstance(trajectory, JointTrajectory):
             raise InputError("reaction: only a JointTrajectory can be stopped on its path; set sim.reaction to None")
-        feeling = _Feeling(controller, self.force, motor_torque)
-        self.contact = ""
-        self.time = float("nan")
+        self.reset()
+        feeling = _Feeling(controller, self, motor_torque)
         dt = state.dt
         step = max(1, round(_CHECK_INTERVAL_S / dt))
         row = 0
-        while row < len(reference.q) and not feeling.contact:
+        while row < len(reference.q) and not self.contact:
             run(feeling, _rows(reference, row, row + step), recorder)
             row += step
-        if not feeling.contact:
+        if not self.contact:
             return ""
-        self.contact = feeling.contact
-        self.time = feeling.time
         reached = min(row * dt, trajectory.duration)
         try:
             stop = trajectory.stopped_at(reached)
@@ -101,38 +130,29 @@ class ContactReaction:
         rest = TickReference.of(stop, dt, ticks, state.continuous)
         if ticks > row:
             run(controller, _rows(rest, row, ticks), recorder)
-        if self.reaction == "retreat":  # to where the motion was some time before the contact
-            begin = stop(stop.duration).q
-            goal = trajectory(max(reached - self.seconds, 0.0)).q
-            if np.abs(goal - begin).max() >= _SHORTEST_RETREAT:
-                back = move_j(self._arm, self._arm.limits.clamp(begin), goal)
-                ticks = int(np.ceil(back.duration / dt)) + 1
-                run(controller, TickReference.of(back, dt, ticks, state.continuous), recorder)
-        elif self.reaction == "float" and self.seconds > 0.0:
+        back = self.way_back(self._arm, trajectory, reached, stop(stop.duration).q)
+        if back is not None:
+            ticks = int(np.ceil(back.duration / dt)) + 1
+            run(controller, TickReference.of(back, dt, ticks, state.continuous), recorder)
+        if self.reaction == "float" and self.seconds > 0.0:
             nothing = np.full((max(1, round(self.seconds / dt)), self._arm.n), np.nan)
             run(HandGuiding(self._arm), TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
-        return f"contact at {self.time:.3f} s: {self.contact}"
+        return self.felt
 
 
 class _Feeling:
-    """A controller beside which an observer runs, with the first alarm, empty before it, and its time, s."""
+    """A controller beside which a reaction feels."""
 
-    def __init__(self, controller: Controller, force: ExternalForce, motor_torque: Callable[[], Array]):
+    def __init__(self, controller: Controller, reaction: ContactReaction, motor_torque: Callable[[], Array]):
         self.name = controller_name(controller)
         self.needs_wrench = getattr(controller, "needs_wrench", False)
         self.needs_deflection = getattr(controller, "needs_deflection", False)
-        self.contact = ""
-        self.time = float("nan")
         self._controller = controller
-        self._force = force
+        self._reaction = reaction
         self._motor_torque = motor_torque
-        force.reset()
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
-        self._force.update(state.q, state.v, self._motor_torque(), state.dt)
-        if not self.contact and (alarm := self._force.alarm):
-            self.contact = alarm
-            self.time = state.t
+        self._reaction.update(state.t, state.q, state.v, self._motor_torque(), state.dt)
         return self._controller.torque(state, setpoint)
 
 

@@ -26,7 +26,6 @@ from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import FreeSpace, move_free_with
 from armctl.robot.arm import Arm
-from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.drive import Drive
 from armctl.sim.recorder import Recorder, RunInfo, ticks_for
 from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
@@ -103,9 +102,7 @@ def read_controller(given: Controller | str, arm: Arm) -> Controller:
 
 
 class ControlledArms:
-    """Arms of one model on one drive, each with a controller, by the names of their tips; one arm can react to contacts."""
-
-    reaction: ContactReaction | None = None
+    """Arms of one model on one drive, each with a controller, by the names of their tips."""
 
     def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], drive: Drive):
         self.arms = {arm.tip: arm for arm in arms}
@@ -141,16 +138,8 @@ class ControlledArms:
         return self._logs
 
     def _run(self, trajectories: Mapping[str, Trajectory], reference: TickReference, recorder: Recorder) -> None:
-        """Runs motions on the ticks, with the reaction to contacts."""
-        drive = self.drive
-        if self.reaction is None or not isinstance(drive, Stepper):
-            drive.run(self._controller, reference, recorder)
-            return
-        [trajectory] = trajectories.values()
-        felt = self.reaction.run(
-            self._controller, trajectory, reference, recorder, drive.run, lambda: drive.motor_torque, drive.state
-        )
-        drive.failure = drive.failure or felt
+        """Runs motions on the ticks."""
+        self.drive.run(self._controller, reference, recorder)
 
     def planned(self, target: Target, plan: Callable[[], PlannedMove]) -> PlannedMove:
         """A plan; a refusal if no motion may start, such as from a state that diverged."""

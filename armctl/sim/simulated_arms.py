@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 from armctl.control import Controller, State, controller_name
 from armctl.core.errors import ArmctlWarning
 from armctl.core.log import Log
-from armctl.core.trajectory import Setpoint, TickReference
+from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
+from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.move import NO_TARGET, ControlledArms
-from armctl.sim.recorder import TickRows
+from armctl.sim.recorder import Recorder, TickRows
 from armctl.sim.stepper import Stepper
 
 _STEP_ROWS = 1024  # ticks for which memory is allocated at once while a caller steps
@@ -35,7 +36,9 @@ class ConstantTorque:
 
 
 class SimulatedArms(ControlledArms):
-    """Arms of one model in one simulation, each with a controller."""
+    """Arms of one model in one simulation, each with a controller; one arm can react to contacts."""
+
+    reaction: ContactReaction | None = None
 
     def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], stepper: Stepper):
         super().__init__(arms, controllers, stepper)
@@ -54,6 +57,17 @@ class SimulatedArms(ControlledArms):
         if self._steps is not None:
             self._logs = self.logs
             self._steps = None
+
+    def _run(self, trajectories: Mapping[str, Trajectory], reference: TickReference, recorder: Recorder) -> None:
+        if self.reaction is None:
+            super()._run(trajectories, reference, recorder)
+            return
+        stepper = self.stepper
+        [trajectory] = trajectories.values()
+        felt = self.reaction.run(
+            self._controller, trajectory, reference, recorder, stepper.run, lambda: stepper.motor_torque, stepper.state
+        )
+        stepper.failure = stepper.failure or felt
 
     def step(self, torque: Array | None) -> State:
         """The measured state after one tick of a single arm, with a torque or with its controller at the last reference."""
