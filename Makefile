@@ -136,7 +136,7 @@ examples: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@touch $@
 
 franka-sim: $(VENV)/dev.stamp $(VENV)/core.stamp .franka-sim/stamp
-	@$(BIN)/pip install --quiet --editable '.[franka]' && $(BIN)/python -m pytest tests/links/test_franka_sim.py -n 0 -rP
+	@$(BIN)/pip install --quiet --no-build-isolation --editable '.[franka]' && $(BIN)/python -m pytest tests/links/test_franka_sim.py -n 0 -rP
 
 # With MINUTES the tests take this time together. Without it they take ten minutes, and the motions go on until all are made.
 fuzz: SEED ?= 0
