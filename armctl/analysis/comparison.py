@@ -13,7 +13,7 @@ import numpy as np
 
 from armctl.analysis.report import Report, best_cells, contacts_in_words, report_table
 from armctl.collision.checkers import collision_checker
-from armctl.control import Controller, controller_name
+from armctl.control.interface import Controller, controller_name
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.tables import Table
 from armctl.core.trajectory import Trajectory

@@ -14,7 +14,7 @@ from armctl.cli import common
 
 if TYPE_CHECKING:
     from armctl.analysis.report import Report
-    from armctl.control import Controller
+    from armctl.control.interface import Controller
     from armctl.robot.arm import Arm
     from armctl.sim.plant import Plant
 

@@ -9,7 +9,7 @@ from math import degrees, isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import Controller, controller_name
+from armctl.control.interface import Controller, controller_name
 from armctl.core.errors import InputError
 from armctl.core.limits import smallest_configuration
 from armctl.core.result import Verdict

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from armctl.control import Controller, State
+from armctl.control.interface import Controller, State
 from armctl.core.errors import LinkError
 from armctl.core.log import Log
 from armctl.core.pose import Pose

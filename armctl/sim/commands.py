@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
-from armctl.control import State
+from armctl.control.interface import State
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.pose import Pose

@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.control import CompiledController, State
-from armctl.control.interface import WRENCH_SIZE
+from armctl.control.interface import WRENCH_SIZE, CompiledController, State
 from armctl.core.validation import Array
 from armctl.robot.actuation import Actuation
 from armctl.sim.disturbances import Disturbances, tick_times

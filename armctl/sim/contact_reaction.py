@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armctl.control import Controller, State, controller_name
 from armctl.control.external_force import ExternalForce
 from armctl.control.hand_guiding import HandGuiding
+from armctl.control.interface import Controller, State, controller_name
 from armctl.core.errors import InputError, PlanError
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, choice, instance, number

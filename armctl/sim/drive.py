@@ -6,7 +6,7 @@ from typing import Protocol
 
 import mujoco
 
-from armctl.control import Controller, State
+from armctl.control.interface import Controller, State
 from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array

@@ -11,7 +11,8 @@ import numpy as np
 
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.clearance import clearance_of
-from armctl.control import Controller, State, controller_by_name, controller_name
+from armctl.control import controller_by_name
+from armctl.control.interface import Controller, State, controller_name
 from armctl.core import hooks
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError

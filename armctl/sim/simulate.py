@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from weakref import WeakKeyDictionary
 
-from armctl.control import Controller
+from armctl.control.interface import Controller
 from armctl.core.log import Log
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import number

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
-from armctl.control import Controller
-from armctl.control.interface import has_compiled_law
+from armctl.control.interface import Controller, has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import Log, SimulationError
 from armctl.core.progress import progress_bar

@@ -14,8 +14,7 @@ from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control import CompiledController, Controller, State, controller_name
-from armctl.control.interface import has_compiled_law
+from armctl.control.interface import CompiledController, Controller, State, controller_name, has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose

@@ -8,7 +8,8 @@ from typing import TypeVar
 import numpy as np
 
 from armctl.collision.checkers import collision_checker, read_pairs
-from armctl.control import ComputedTorque, Controller
+from armctl.control.computed_torque import ComputedTorque
+from armctl.control.interface import Controller
 from armctl.core.errors import InputError, ModelError, PlanError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose

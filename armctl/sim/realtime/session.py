@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from armctl.collision.checkers import collision_checker
-from armctl.control import Controller, controller_by_name
+from armctl.control import controller_by_name
+from armctl.control.interface import Controller
 from armctl.core.errors import ModelError, UnknownNameError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
