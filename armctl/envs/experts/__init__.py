@@ -23,8 +23,6 @@ EXPERTS: dict[str, type[Expert]] = {
     "PickPlace": PickPlaceExpert,
 }
 
-__all__ = ["EXPERTS", "Expert", "ExpertPolicy"]
-
 
 class ExpertPolicy:
     """A scripted policy that solves the task of an environment by its actions.

@@ -14,13 +14,7 @@ import numpy as np
 from armctl import _core
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion.timing.otg import (
-    JointState,
-    ProfileSolver,
-    phase_nodes,
-    phase_polynomials,
-    solve_pieces,
-)
+from armctl.motion.timing.otg import JointState, ProfileSolver, phase_nodes, phase_polynomials, solve_pieces
 from armctl.motion.trajectory.limit_check import polynomial_extremes
 from armctl.motion.trajectory.piecewise import Pieces, joined
 
