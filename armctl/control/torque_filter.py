@@ -133,16 +133,6 @@ class TorqueFilter(ControllerAround):
     def _around(self, inner: _core.Law, dt: float) -> _core.Law:
         return _core.TorqueFilter(inner, sections=self.sections(dt))
 
-    def _changed(self, tau: Array, dt: float, memory: Any) -> tuple[Array, Any]:
-        from scipy.signal import sosfilt, sosfilt_zi
-
-        if memory is None:
-            sections = self.sections(dt)
-            memory = sections, sosfilt_zi(sections)[:, :, None] * tau
-        sections, state = memory
-        filtered, state = sosfilt(sections, tau[None], axis=0, zi=state)
-        return filtered[0], (sections, state)
-
 
 def _checked_frequency(filter_: Notch | LowPass, frequency: float, dt: float) -> float:
     """A frequency that a filter with this control period can have."""
@@ -175,11 +165,3 @@ class TorqueRateLimit(ControllerAround):
 
     def _around(self, inner: _core.Law, dt: float) -> _core.Law:
         return _core.TorqueRateLimit(inner, tau_rate_max=self.tau_rate_max, dt=dt)
-
-    def _changed(self, tau: Array, dt: float, memory: Any) -> tuple[Array, Any]:
-        if memory is not None:
-            change = self.tau_rate_max * dt
-            highest = memory + change
-            lowest = memory - change
-            tau = np.where(tau > highest, highest, np.where(tau < lowest, lowest, tau))
-        return tau, tau.copy()
