@@ -29,11 +29,6 @@ class ComputedTorque(ArmController):
     measured at the first tick only.
 
     The textbook form uses the measured velocity, and has a tracking error of (k_d / k_p) (dt / 2) a_ref.
-
-    Attributes:
-        bandwidth: rad/s.
-        damping_ratio: 1 is critically damped.
-        form: "discrete" or "textbook".
     """
 
     bandwidth: Gain[float] = scalar_gain()

@@ -19,16 +19,10 @@ class ComputedTorqueObserver(ArmController):
     """Computed torque with estimated velocities and disturbance torques d: tau = ID(q, v, a_ref + k_p e + k_d e_dot) - d.
 
     The commanded acceleration predicts position and velocity, and the measured position corrects both, so that the noise of
-    encoders has little effect on the torques. The observer cancels all torques that the
-    model does not explain. Default gains suppress disturbances as well as a delay margin of 5 ms (and of 2.5 control periods)
-    and a peak sensitivity of 1.7 permit, and are stable with unknown payloads (`observer_gains`), so they depend on the control
+    encoders has little effect on the torques. The observer cancels all torques that the model does not explain. Default gains,
+    which are None as attributes, suppress disturbances as well as a delay margin of 5 ms (and of 2.5 control periods) and a
+    peak sensitivity of 1.7 permit, and are stable with unknown payloads (`observer_gains`), so they depend on the control
     period. `armctl info` prints the payload that they tolerate.
-
-    Attributes:
-        bandwidth: rad/s of the feedback; None if it follows from the margins.
-        damping_ratio: Of the feedback; None if it follows from the margins.
-        observer_bandwidth: rad/s up to which unknown torques are cancelled; None if it follows from the margins.
-        delay_margin: s, of the gains that follow from the margins, or two and a half control periods if they are longer.
     """
 
     name = "computed-torque-observer"

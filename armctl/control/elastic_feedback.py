@@ -31,10 +31,6 @@ class ElasticFeedback(ElasticFeedforward):
 
     It needs `State.deflection`, as joint torque sensors give it, and encoders at the motors. With the same gains of the motors
     its delay margin is below that of `ElasticFeedforward`, by up to a third. It runs in the Python loop.
-
-    Attributes:
-        damping_ratio: Added to vibrations of the links.
-        link_bandwidth: rad/s, of the integral that removes what payloads, friction and wrong springs leave.
     """
 
     name = "elastic-feedback"
@@ -59,8 +55,9 @@ class ElasticFeedback(ElasticFeedforward):
         Args:
             elasticity: As for `ElasticFeedforward`.
             rotor_inertia: As for `ElasticFeedforward`.
-            damping_ratio: Of vibrations of the links, in [0, 1]; it is reached where the motors are much faster than these.
-            link_bandwidth: rad/s, of the integral of the links' error, in [0, 100]; well below the resonances.
+            damping_ratio: In [0, 1], added to vibrations of the links; reached where the motors are much faster than these.
+            link_bandwidth: rad/s, in [0, 100], of the integral of the links' error, which removes what payloads, friction and
+                wrong springs leave; well below the resonances.
             stiffness: As for `PD`, of the motors.
             damping: As for `PD`, of the motors.
             friction: Whether the model's dry friction is compensated.

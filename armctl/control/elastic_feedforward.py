@@ -28,11 +28,6 @@ class ElasticFeedforward(PD):
 
     Margins are those of `PD` with the same gains: what is added depends on the reference only. The encoders are those of the
     motors. It runs in the Python loop.
-
-    Attributes:
-        elasticity: (n,) N m/rad, stiffness of the springs.
-        rotor_inertia: (n,) kg m^2 of the motors, at the joints.
-        friction: Whether dry friction of the motors is compensated, with its reversal.
     """
 
     name = "elastic-feedforward"

@@ -17,11 +17,6 @@ class OperationalSpace(ArmController):
     After Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation"
     (1987). J# is the dynamically consistent inverse. It is damped near singular configurations, where the posture law takes
     over. The task is the tip's pose at q_ref, so the feedforward is the acceleration of the reference.
-
-    Attributes:
-        bandwidth: rad/s, of the tip's error.
-        damping_ratio: 1 is critically damped.
-        posture_bandwidth: rad/s, of the joint error in the null space of the tip.
     """
 
     name = "operational-space"

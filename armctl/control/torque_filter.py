@@ -99,9 +99,6 @@ class TorqueFilter(ControllerAround):
     """A controller whose torques go through filters, in series, the same for all joints.
 
     A run begins with filters that are settled at its first torque.
-
-    Attributes:
-        filters: Notches and low-passes, the first one first.
     """
 
     filters: Gain[tuple[Notch | LowPass, ...]] = Gain(_filters)
@@ -111,7 +108,7 @@ class TorqueFilter(ControllerAround):
 
         Args:
             controller: The controller whose torques are filtered.
-            filters: One filter, or several in series.
+            filters: A notch or a low-pass, or several in series, the first one first.
         """
         super().__init__(arm, controller)
         self.filters = filters
@@ -146,9 +143,6 @@ class TorqueRateLimit(ControllerAround):
     """A controller with limited torque rates, as the interfaces of many arms require.
 
     The first torque of a run is not limited.
-
-    Attributes:
-        tau_rate_max: (n,) N m/s.
     """
 
     tau_rate_max: Gain[Array] = joint_gain()
