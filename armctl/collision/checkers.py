@@ -46,10 +46,7 @@ _lock = Lock()
 
 
 def collision_checker(
-    arm: MovingJoints,
-    qpos: Array | None = None,
-    allow: Iterable[tuple[str, str]] = (),
-    held: Mapping[int, int] | None = None,
+    arm: MovingJoints, qpos: Array | None = None, allow: Iterable[tuple[str, str]] = (), held: Mapping[int, int] | None = None
 ) -> CollisionChecker:
     """As `CollisionChecker(...)`; those of an arm that were used last are kept with it."""
     allow = read_pairs(allow)

@@ -35,14 +35,7 @@ class ComputedTorque(ArmController):
     damping_ratio: Gain[float] = scalar_gain()
     form: Gain[str] = word(FORMS)
 
-    def __init__(
-        self,
-        arm: Arm,
-        *,
-        bandwidth: float = DEFAULT_BANDWIDTH,
-        damping_ratio: float = 1.0,
-        form: str = "discrete",
-    ):
+    def __init__(self, arm: Arm, *, bandwidth: float = DEFAULT_BANDWIDTH, damping_ratio: float = 1.0, form: str = "discrete"):
         """A computed torque controller for an arm.
 
         Args:

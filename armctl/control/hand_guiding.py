@@ -18,8 +18,7 @@ _TORQUE_SHARE = 0.3  # of the limit, that springs and brakes reach
 
 
 class HandGuiding:
-    """Gravity and most of the friction are compensated, so a hand can move the arm; near limits it resists.
-    """
+    """Gravity and most of the friction are compensated, so a hand can move the arm; near limits it resists."""
 
     name = "hand-guiding"
 

@@ -140,9 +140,7 @@ def _worst(linearizers: list[Linearizer], law: Controller, q: Array) -> LoopMarg
     if not worst:
         return worst
     return replace(
-        worst,
-        delay_margin=min(each.delay_margin for each in found),
-        phase_margin=min(each.phase_margin for each in found),
+        worst, delay_margin=min(each.delay_margin for each in found), phase_margin=min(each.phase_margin for each in found)
     )
 
 

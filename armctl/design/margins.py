@@ -96,12 +96,7 @@ class Margins(Verdict):
         return figures
 
 
-def margins(
-    arm: Arm,
-    controller: Controller | str,
-    poses: int | ArrayLike = 20,
-    plants: Sequence[Plant] = (),
-) -> Margins:
+def margins(arm: Arm, controller: Controller | str, poses: int | ArrayLike = 20, plants: Sequence[Plant] = ()) -> Margins:
     """Linearizes the loop of an arm and a controller at many configurations, and finds the worst margins.
 
     A search by random steps then begins at the configuration with the least delay margin, and one at that with the largest Ms.

@@ -146,11 +146,7 @@ class LinkDrive:
         return TickReference(self.q_ref + still, still, still, still, still)
 
     def run(
-        self,
-        controller: Controller | None,
-        reference: TickReference,
-        recorder: Recorder,
-        to_rest: Pieces | None = None,
+        self, controller: Controller | None, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None
     ) -> None:
         """Checks a reference, or the motion `to_rest` that it begins; has it played, mirrors and records it."""
         if self.fault:

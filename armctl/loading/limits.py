@@ -56,10 +56,7 @@ def datasheet_limits(row: Row | None, n: int) -> JointData | None:
 
 
 def torque_limits(
-    model: mujoco.MjModel,
-    transmissions: Sequence[Transmission],
-    datasheet: JointData | None,
-    motors: Sequence[DcMotor | None],
+    model: mujoco.MjModel, transmissions: Sequence[Transmission], datasheet: JointData | None, motors: Sequence[DcMotor | None]
 ) -> TorqueLimits:
     """The torque limits of an arm's joints in a model as compiled from its file, with its own actuators.
 

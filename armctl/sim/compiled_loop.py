@@ -24,12 +24,7 @@ class CompiledLoop:
     """The compiled loop of one simulation."""
 
     def __init__(
-        self,
-        actuation: Actuation,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        substeps: int,
-        pushed_arm: _core.ArmModel,
+        self, actuation: Actuation, model: mujoco.MjModel, data: mujoco.MjData, substeps: int, pushed_arm: _core.ArmModel
     ):
         """A tick has so many `substeps` of MuJoCo; pushes act on the tip of `pushed_arm`."""
         self._data = data

@@ -75,13 +75,7 @@ class Drive(Protocol):
         """A reference that stays where the last one ended, for at least one tick."""
         ...
 
-    def run(
-        self,
-        controller: Controller,
-        reference: TickReference,
-        recorder: Recorder,
-        to_rest: Pieces | None = None,
-    ) -> None:
+    def run(self, controller: Controller, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None) -> None:
         """Runs along a reference; `failure` says why if the run ends early.
 
         A robot uses its own controller, and follows `to_rest`, the motion from the first row on up to rest, where nothing else

@@ -187,10 +187,7 @@ class ControlledArms:
 
     @contextmanager
     def recording(
-        self,
-        durations: Mapping[str, float],
-        targets: Mapping[str, Array] | None = None,
-        controller: Controller | None = None,
+        self, durations: Mapping[str, float], targets: Mapping[str, Array] | None = None, controller: Controller | None = None
     ) -> Iterator[Recorder]:
         """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
 

@@ -230,13 +230,7 @@ class Stepper:
         still = np.zeros((max(1, round(seconds / self.dt)), self.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
-    def run(
-        self,
-        controller: Controller,
-        reference: TickReference,
-        recorder: Recorder,
-        to_rest: Pieces | None = None,
-    ) -> None:
+    def run(self, controller: Controller, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None) -> None:
         """Runs the tick loop along a reference, whose arrays become read-only: measure, control, step, record.
 
         The run ends early, and `failure` says why, if the arm diverges or the controller returns a torque that is not finite.

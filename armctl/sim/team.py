@@ -42,10 +42,7 @@ class Team:
     """
 
     def __init__(
-        self,
-        arms: Sequence[Arm],
-        controllers: Mapping[str, Controller | str] | None = None,
-        plant: Plant | None = None,
+        self, arms: Sequence[Arm], controllers: Mapping[str, Controller | str] | None = None, plant: Plant | None = None
     ):
         """A simulation with all arms at home, at rest.
 

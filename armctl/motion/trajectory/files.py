@@ -118,11 +118,7 @@ class Curves(NamedTuple):
 
 
 def plot(
-    curves: Curves,
-    joint_names: Sequence[str],
-    joint_units: Sequence[str],
-    limits: Limits,
-    path: str | os.PathLike[str] | None,
+    curves: Curves, joint_names: Sequence[str], joint_units: Sequence[str], limits: Limits, path: str | os.PathLike[str] | None
 ) -> object:
     """Matplotlib's figure of position, velocity, acceleration and jerk of every joint, saved if there is a path."""
     from matplotlib.figure import Figure
