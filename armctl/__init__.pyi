@@ -146,7 +146,7 @@ from .sim.mppi import push as push
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
-from .sim.simulate_many import simulate_many as simulate_many
+from .sim.simulate import simulate_many as simulate_many
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
 from .stream.stream import Stream as Stream

@@ -23,7 +23,7 @@ from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import WITH_ENCODER, Plant
-from armctl.sim.simulate_many import rows_as_runs, run_many
+from armctl.sim.simulate import rows_as_runs, run_many
 
 DEFAULT_POSES = 5
 

@@ -130,18 +130,10 @@ def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int 
     loops = [linearizer.loop_at(law, q) for linearizer, q in cases]
     if not _dimensions(poses):
         found = [loop.coarse_margins() for loop in loops]
-        for score in (_delay_margin, _negative_sensitivity):
+        for score in (lambda margins: float(margins.delay.min()), lambda margins: -float(margins.peak_sensitivity.max())):
             linearizer, q = cases[int(np.argmin([score(each) for each in found]))]
             loops.append(_worst_loop(linearizer, law, q, score))
     return loops
-
-
-def _delay_margin(margins: CoarseMargins) -> float:
-    return float(margins.delay.min())
-
-
-def _negative_sensitivity(margins: CoarseMargins) -> float:
-    return -float(margins.peak_sensitivity.max())
 
 
 def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Callable[[CoarseMargins], float]) -> Loop:
