@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, scalar_gain, tip_gain
+from armctl.control.interface import ArmController
 from armctl.control.task_space import POSE_SIZE
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, scalar_gain, word
 from armctl.control.gains import DEFAULT_BANDWIDTH, extra_inertia
-from armctl.control.interface import checked_period
+from armctl.control.interface import ArmController, checked_period
 from armctl.control.observer_gains import estimate_weights, feedback_estimate
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain
 from armctl.control.gains import DELAY_MARGINS_S, MIN_DELAY_MARGIN_S
+from armctl.control.interface import ArmController
 from armctl.control.observer_gains import ObserverGains, estimate_weights, low_pass_weight, observer_gains
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm

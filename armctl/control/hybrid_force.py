@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain, word
+from armctl.control.interface import ArmController
 from armctl.control.task_space import task_rows
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import Array, IntArray, number, shown

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain, tip_bound
 from armctl.control.gains import MAX_BANDWIDTH, gain, sample_configurations
-from armctl.control.interface import State
+from armctl.control.interface import ArmController, State
 from armctl.control.task_space import POSE_SIZE, consistent_inverse
 from armctl.core.validation import Array, frozen, number, vector
 from armctl.robot.arm import Arm

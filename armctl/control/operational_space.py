@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, scalar_gain
 from armctl.control.gains import DEFAULT_BANDWIDTH
+from armctl.control.interface import ArmController
 from armctl.robot.arm import Arm
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain
 from armctl.control.gains import (
     DELAY_MARGINS_S,
@@ -17,7 +16,7 @@ from armctl.control.gains import (
     bandwidth_gains,
     margin_gains,
 )
-from armctl.control.interface import checked_period
+from armctl.control.interface import ArmController, checked_period
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
 
