@@ -295,10 +295,9 @@ class ArmController(CompiledController):
         return self._arm.core_model.for_period(dt, continuous)
 
 
-def _check_arguments(state: Any, setpoint: object) -> None:
+def _check_arguments(state: Any, setpoint: Any) -> None:
     instance("state", state, State, _STATE_HINT)
-    if not isinstance(setpoint, Setpoint):
-        raise InputError(f"setpoint: expected Setpoint, got {shown(setpoint)}; armctl.Setpoint(q, v, a) is one")
+    instance("setpoint", setpoint, Setpoint, "armctl.Setpoint(q, v, a) is one")
     values = {
         "state.q": state.q,
         "state.v": state.v,

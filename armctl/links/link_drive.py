@@ -93,10 +93,6 @@ class LinkDrive:
         self._see(first.t, first.q, first.v)
 
     @property
-    def n(self) -> int:
-        return self.actuation.n
-
-    @property
     def blocked(self) -> str:
         """Why no motion may start: the robot reports a fault; empty if one may."""
         return f"{self.fault}; call robot.recover() when the robot may move again" if self.fault else ""
@@ -142,7 +138,7 @@ class LinkDrive:
         return rows
 
     def hold_reference(self, seconds: float) -> TickReference:
-        still = np.zeros((max(1, round(seconds / self.dt)), self.n))
+        still = np.zeros((max(1, round(seconds / self.dt)), self.actuation.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
     def run(
@@ -152,7 +148,7 @@ class LinkDrive:
         if self.fault:
             raise LinkError(self.blocked)
         assert isinstance(recorder, _LinkRecorder)
-        recorder.began = True
+        recorder.has_begun = True
         self._recorder = recorder
         ticks = len(reference.q)
         course = self._course(reference) if to_rest is None else to_rest
@@ -334,13 +330,8 @@ class _LinkRecorder(Recorder):
 
     def __init__(self, drive: LinkDrive):
         super().__init__(drive.model, drive.actuation, drive._tips)
-        self.began = False  # whether a run was begun, even if nothing was sent
         self.segments: list[_Segment] = []  # its readings, by stream
         self._drive = drive
-
-    @property
-    def has_begun(self) -> bool:
-        return self.began
 
     def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = slice(0, 6)) -> Log:
         """The readings as a Log. A tick that was lost has the next reading, and a reference between those that were sent."""

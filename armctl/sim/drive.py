@@ -26,11 +26,6 @@ class Drive(Protocol):
     failure: str  # why the last run ended early, in words; empty if it did not
 
     @property
-    def n(self) -> int:
-        """The number of driven joints."""
-        ...
-
-    @property
     def q_ref(self) -> Array:
         """(n,) rad, the last reference, where the next motion starts."""
         ...

@@ -257,7 +257,7 @@ class ControlledArms:
         drive = self.drive
         if len(self.arms) == 1 and trajectories:
             return drive.reference(next(iter(trajectories.values())), ticks)
-        rows = TickReference(*(np.zeros((ticks, drive.n)) for _ in TickReference._fields))
+        rows = TickReference(*(np.zeros((ticks, drive.actuation.n)) for _ in TickReference._fields))
         rows.q[:] = drive.q_ref
         for tip, trajectory in trajectories.items():
             for row, column in zip(rows, drive.reference(trajectory, ticks), strict=True):
