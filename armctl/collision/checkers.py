@@ -1,7 +1,5 @@
 """The collision checkers of each arm, made when they are first needed."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from threading import Lock

@@ -1,7 +1,5 @@
 """Zero-phase low-pass filters for recorded signals, and the choice of their cut-off from the data."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The fit of all parameters of an arm to recorded torques: filtered regressor, delay, friction, physical consistency."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Actions: what the numbers of a policy mean."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Rows: the simulated arms of a batch of environments, and their compiled step on several threads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 

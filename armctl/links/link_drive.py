@@ -1,7 +1,5 @@
 """LinkDrive: a robot behind the members of `sim.Drive`; its MjData mirrors what the robot measures."""
 
-from __future__ import annotations
-
 import copy
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """RobotArms: the arm of a robot, with its reaction to contacts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 from armctl.control.interface import State

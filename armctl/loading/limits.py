@@ -1,7 +1,5 @@
 """The limits of an arm's joints: from the model, a data sheet or a URDF, else documented defaults."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

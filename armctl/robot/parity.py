@@ -1,7 +1,5 @@
 """Parity: an arm's Pinocchio model compared with MuJoCo."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """CompiledLoop: runs ticks of a simulation without Python, for a controller that has a compiled law."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """Drive: what moves an arm along references: a simulated plant, or the link to a robot."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import mujoco

@@ -1,7 +1,5 @@
 """ControlledArms: plan, run, settle and report. The one implementation of a move, for one arm and for several."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

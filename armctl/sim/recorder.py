@@ -1,7 +1,5 @@
 """Recorder: the ticks of a run as named columns that are allocated before the run, and the Log made from them."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

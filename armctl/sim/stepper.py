@@ -1,7 +1,5 @@
 """Stepper: the simulated plant, and the tick loop of all runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
 from threading import Lock

@@ -1,7 +1,5 @@
 """Bench: everything that the runs of a study share, and a run. Workers make it from plain data and keep it."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Experts: scripted policies that solve the tasks with armctl's inverse kinematics, motions and planner."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """PushExpert: puts the tool behind the object, and pushes it to the goal."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.core.validation import Array

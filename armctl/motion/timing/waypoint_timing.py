@@ -4,8 +4,6 @@ The compiled search finds them. Ruckig then times each section. If a joint leave
 bounds on its velocity and acceleration at both are lowered, and the search is repeated.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Trajectories in files: exact arrays as npz, samples as CSV, and a plot. All files are replaced atomically."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """RealTimeSession: an arm that follows a target in real time, in its own thread, under commands of other threads."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time
