@@ -65,7 +65,13 @@ class ContactReaction:
         return f"contact at {self.time:.3f} s: {self.contact}" if self.contact else ""
 
     def update(self, t: float, q: Array, v: Array, torque: Array, dt: float) -> None:
-        """Takes the measurements of a tick, as `ExternalForce.update`; the first alarm is what was felt."""
+        """Takes the measurements of a tick, as `ExternalForce.update`; the first alarm is what was felt.
+
+        Args:
+            t: s, what `time` becomes if a contact is felt.
+            torque: (n,) N m, of the motors.
+            dt: s since the last measurements.
+        """
         self.force.update(q, v, torque, dt)
         if not self.contact and (alarm := self.force.alarm):
             self.contact = alarm
