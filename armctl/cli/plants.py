@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from armctl.cli import common
 from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.validation import number
 from armctl.robot.arm import Arm
 from armctl.sim.plant import ENCODER_NOISE_RAD, NOMINAL, PLANT_ATTRIBUTES, Plant
 from armctl.sim.plant_attribute import Kind
@@ -63,4 +63,8 @@ def _number(name: str, text: str) -> float:
         return _DEFAULT[name]
     if not text:
         raise InputError(f"{name!r} needs a value, as in '{name}=1'")
-    return common.one_number(name, text)
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(f"{text!r:.80} is not a number") from None
+    return number(name, value)
