@@ -21,8 +21,8 @@ from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
-from .control.elastic_feedback import ElasticFeedback as ElasticFeedback
-from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
+from .control.elastic_joints import ElasticFeedback as ElasticFeedback
+from .control.elastic_joints import ElasticFeedforward as ElasticFeedforward
 from .control.external_force import ExternalForce as ExternalForce
 from .control.hand_guiding import HandGuiding as HandGuiding
 from .control.hybrid_force import HybridForce as HybridForce
@@ -146,7 +146,7 @@ from .sim.mppi import push as push
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
-from .sim.simulate_many import simulate_many as simulate_many
+from .sim.simulate import simulate_many as simulate_many
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
 from .stream.stream import Stream as Stream

@@ -13,7 +13,7 @@ import numpy as np
 
 from armctl.analysis.report import Report, best_cells, contacts_in_words, report_table
 from armctl.collision.checkers import collision_checker
-from armctl.control import Controller, controller_name
+from armctl.control.interface import Controller, controller_name
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.tables import Table
 from armctl.core.trajectory import Trajectory
@@ -23,7 +23,7 @@ from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import WITH_ENCODER, Plant
-from armctl.sim.simulate_many import rows_as_runs, run_many
+from armctl.sim.simulate import rows_as_runs, run_many
 
 DEFAULT_POSES = 5
 

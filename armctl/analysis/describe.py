@@ -1,7 +1,5 @@
 """Arms, serial chains and the end of a run, in words and as plain data."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 from typing import Any

@@ -1,7 +1,5 @@
 """Self-contained HTML pages of results: one style, and elements from text, tables and figures."""
 
-from __future__ import annotations
-
 import html
 
 from armctl.core.tables import Table

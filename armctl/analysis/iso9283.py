@@ -26,7 +26,8 @@ from armctl.analysis.iso9283_figures import (
     stabilisation,
 )
 from armctl.collision.checkers import collision_checker
-from armctl.control import Controller, controller_by_name, controller_name
+from armctl.control import controller_by_name
+from armctl.control.interface import Controller, controller_name
 from armctl.core.errors import PlanError
 from armctl.core.log import Log
 from armctl.core.pose import Pose

@@ -1,7 +1,5 @@
 """The figures of ISO 9283:1998 from attained positions, orientations and speeds. Each function names its clause."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Margins of controllers as a table, and as a self-contained HTML page with plots."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from math import degrees, isfinite
 from pathlib import Path

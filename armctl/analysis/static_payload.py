@@ -1,7 +1,5 @@
 """The payload that an arm's torque limits hold, beside the one that its maker rates it for."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.core.validation import Array

@@ -14,7 +14,7 @@ from armctl.cli import common
 
 if TYPE_CHECKING:
     from armctl.analysis.report import Report
-    from armctl.control import Controller
+    from armctl.control.interface import Controller
     from armctl.robot.arm import Arm
     from armctl.sim.plant import Plant
 
@@ -39,10 +39,7 @@ def add(commands: common.Commands) -> None:
     )
     parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     parser.add_argument(
-        "--poses",
-        type=int,
-        default=5,
-        help="configurations at which margins are computed, 0 for none (default %(default)s)",
+        "--poses", type=int, default=5, help="configurations at which margins are computed, 0 for none (default %(default)s)"
     )
     parser.add_argument(
         "--delay-margin",

@@ -1,7 +1,5 @@
 """`armctl identify ROBOT FILE.csv`: inertia and friction of an arm from a recording."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`armctl iso9283 ROBOT`: pose and path accuracy."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 

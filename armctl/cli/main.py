@@ -3,8 +3,6 @@
 Exit status: 0 done and reached, 1 not reached, 2 a wrong call, 130 interrupted.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

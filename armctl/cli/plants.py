@@ -1,7 +1,5 @@
 """Plants by name, for the command line: `payload=1`, `friction`, `delay=2`, `noise`, or all at once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`armctl reach ROBOT`: the tip moves to a target, and a report."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`armctl reachability ROBOT`: which points the arm reaches, with how many orientations."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

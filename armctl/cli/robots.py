@@ -1,7 +1,5 @@
 """`armctl robots`, `chains`, `info` and `doctor`: which robots there are, and what is in their files."""
 
-from __future__ import annotations
-
 import argparse
 
 from armctl.cli import common

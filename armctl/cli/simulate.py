@@ -1,7 +1,5 @@
 """`armctl simulate ROBOT --ctrl ...`: constant controls."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

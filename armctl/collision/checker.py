@@ -1,7 +1,5 @@
 """What an arm touches, and how far away it is: at a configuration, and proved over a whole motion."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 

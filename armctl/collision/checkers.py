@@ -1,7 +1,5 @@
 """The collision checkers of each arm, made when they are first needed."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from threading import Lock
@@ -46,10 +44,7 @@ _lock = Lock()
 
 
 def collision_checker(
-    arm: MovingJoints,
-    qpos: Array | None = None,
-    allow: Iterable[tuple[str, str]] = (),
-    held: Mapping[int, int] | None = None,
+    arm: MovingJoints, qpos: Array | None = None, allow: Iterable[tuple[str, str]] = (), held: Mapping[int, int] | None = None
 ) -> CollisionChecker:
     """As `CollisionChecker(...)`; those of an arm that were used last are kept with it."""
     allow = read_pairs(allow)

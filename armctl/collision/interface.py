@@ -1,7 +1,5 @@
 """What a collision checker takes and returns."""
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 import mujoco

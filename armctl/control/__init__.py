@@ -3,21 +3,16 @@
 from collections.abc import Callable
 from functools import partial
 
-from armctl.control.admittance import Admittance
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.computed_torque_learning import ComputedTorqueLearning
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.computed_torque_qp import ComputedTorqueQP
-from armctl.control.elastic_feedback import ElasticFeedback
-from armctl.control.elastic_feedforward import ElasticFeedforward
-from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
-from armctl.control.interface import CompiledController, Controller, State, controller_name
-from armctl.control.lqr import LQR, LQRGains
-from armctl.control.mpc import MPC, MPCCounts
+from armctl.control.interface import Controller
+from armctl.control.lqr import LQR
+from armctl.control.mpc import MPC
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD, PDFeedforward, PDGravity
-from armctl.control.torque_filter import LowPass, Notch, TorqueFilter, TorqueRateLimit
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
 
@@ -42,34 +37,3 @@ def controller_by_name(name: str, arm: Arm) -> Controller:
     if name not in CONTROLLERS:
         raise UnknownNameError.of("controller", name, CONTROLLERS)
     return CONTROLLERS[name](arm)
-
-
-__all__ = [
-    "CONTROLLERS",
-    "LQR",
-    "MPC",
-    "PD",
-    "Admittance",
-    "CompiledController",
-    "ComputedTorque",
-    "ComputedTorqueLearning",
-    "ComputedTorqueObserver",
-    "ComputedTorqueQP",
-    "Controller",
-    "ElasticFeedback",
-    "ElasticFeedforward",
-    "HybridForce",
-    "Impedance",
-    "LQRGains",
-    "LowPass",
-    "MPCCounts",
-    "Notch",
-    "OperationalSpace",
-    "PDFeedforward",
-    "PDGravity",
-    "State",
-    "TorqueFilter",
-    "TorqueRateLimit",
-    "controller_by_name",
-    "controller_name",
-]

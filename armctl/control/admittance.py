@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, scalar_gain, tip_gain
+from armctl.control.interface import ArmController
 from armctl.control.task_space import POSE_SIZE
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
@@ -29,12 +29,6 @@ class Admittance(ArmController):
     measures the force. On stiff walls impedance or hybrid force control is the better choice.
 
     It needs `state.wrench`. Arms of less than six joints yield in position only.
-
-    Attributes:
-        mass: (6,) kg and kg m^2 along and about the world's axes.
-        damping: (6,) N s/m and N m s/rad.
-        stiffness: (6,) N/m and N m/rad; if it is 0, the tip stays where it was displaced to.
-        bandwidth: rad/s, of the position loop.
     """
 
     name = "admittance"
@@ -56,9 +50,10 @@ class Admittance(ArmController):
         """An admittance controller for an arm.
 
         Args:
-            mass: (6,) kg and kg m^2, or one number for all six. The default is three times the effective
-                inertia of the tip at home.
-            stiffness: (6,) N/m and N m/rad, or one number for all six. The default is mass x (10 rad/s)^2.
+            mass: (6,) kg and kg m^2 along and about the world's axes, or one number for all six. The default is three times the
+                effective inertia of the tip at home.
+            stiffness: (6,) N/m and N m/rad, or one number for all six. The default is mass x (10 rad/s)^2. If it is 0, the tip
+                stays where it was displaced to.
             damping: (6,) N s/m and N m s/rad, or one number for all six. The default is critical, at least that of the
                 default stiffness.
             bandwidth: rad/s, of the position loop.

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, scalar_gain, word
 from armctl.control.gains import DEFAULT_BANDWIDTH, extra_inertia
-from armctl.control.interface import checked_period
+from armctl.control.interface import ArmController, checked_period
 from armctl.control.observer_gains import estimate_weights, feedback_estimate
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
@@ -29,25 +28,13 @@ class ComputedTorque(ArmController):
     measured at the first tick only.
 
     The textbook form uses the measured velocity, and has a tracking error of (k_d / k_p) (dt / 2) a_ref.
-
-    Attributes:
-        bandwidth: rad/s.
-        damping_ratio: 1 is critically damped.
-        form: "discrete" or "textbook".
     """
 
     bandwidth: Gain[float] = scalar_gain()
     damping_ratio: Gain[float] = scalar_gain()
     form: Gain[str] = word(FORMS)
 
-    def __init__(
-        self,
-        arm: Arm,
-        *,
-        bandwidth: float = DEFAULT_BANDWIDTH,
-        damping_ratio: float = 1.0,
-        form: str = "discrete",
-    ):
+    def __init__(self, arm: Arm, *, bandwidth: float = DEFAULT_BANDWIDTH, damping_ratio: float = 1.0, form: str = "discrete"):
         """A computed torque controller for an arm.
 
         Args:

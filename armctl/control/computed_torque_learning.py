@@ -47,9 +47,6 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
     loads and links" (1986). Only torques along the reference are fed forward, and the observer is corrected for every change of
     the estimate. At rest the estimate has therefore no effect on the loop, whose margins are those of computed torque with the
     same observer. The estimate changes only while the reference moves, and it starts at zero in each run.
-
-    Attributes:
-        observer_bandwidth: rad/s up to which other unknown torques are cancelled; None if it follows from the margins.
     """
 
     name = "computed-torque-learning"

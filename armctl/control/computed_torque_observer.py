@@ -7,15 +7,10 @@ from typing import Any
 import numpy as np
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain
 from armctl.control.gains import DELAY_MARGINS_S, MIN_DELAY_MARGIN_S
-from armctl.control.observer_gains import (
-    ObserverGains,
-    estimate_weights,
-    low_pass_weight,
-    observer_gains,
-)
+from armctl.control.interface import ArmController
+from armctl.control.observer_gains import ObserverGains, estimate_weights, low_pass_weight, observer_gains
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
@@ -24,16 +19,10 @@ class ComputedTorqueObserver(ArmController):
     """Computed torque with estimated velocities and disturbance torques d: tau = ID(q, v, a_ref + k_p e + k_d e_dot) - d.
 
     The commanded acceleration predicts position and velocity, and the measured position corrects both, so that the noise of
-    encoders has little effect on the torques. The observer cancels all torques that the
-    model does not explain. Default gains suppress disturbances as well as a delay margin of 5 ms (and of 2.5 control periods)
-    and a peak sensitivity of 1.7 permit, and are stable with unknown payloads (`observer_gains`), so they depend on the control
+    encoders has little effect on the torques. The observer cancels all torques that the model does not explain. Default gains,
+    which are None as attributes, suppress disturbances as well as a delay margin of 5 ms (and of 2.5 control periods) and a
+    peak sensitivity of 1.7 permit, and are stable with unknown payloads (`observer_gains`), so they depend on the control
     period. `armctl info` prints the payload that they tolerate.
-
-    Attributes:
-        bandwidth: rad/s of the feedback; None if it follows from the margins.
-        damping_ratio: Of the feedback; None if it follows from the margins.
-        observer_bandwidth: rad/s up to which unknown torques are cancelled; None if it follows from the margins.
-        delay_margin: s, of the gains that follow from the margins, or two and a half control periods if they are longer.
     """
 
     name = "computed-torque-observer"

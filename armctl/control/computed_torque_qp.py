@@ -32,13 +32,7 @@ class ComputedTorqueQP(ComputedTorque):
     add a known payload to it (`Arm.with_payload`).
     """
 
-    def __init__(
-        self,
-        arm: Arm,
-        *,
-        bandwidth: float = DEFAULT_BANDWIDTH,
-        damping_ratio: float = 1.0,
-    ):
+    def __init__(self, arm: Arm, *, bandwidth: float = DEFAULT_BANDWIDTH, damping_ratio: float = 1.0):
         """A computed torque controller with limits for an arm.
 
         Args:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, Self
 
+import numpy as np
+
 from armctl import _core
 from armctl.control.gain_attribute import Gain
 from armctl.control.interface import (
@@ -50,7 +52,6 @@ class ControllerAround(CompiledController):
         self.controller = controller
         self.name = controller_name(controller)
         self._inner: _core.Law | None = None
-        self._python_memory: Any = None  # of a controller without compiled law
 
     @property
     def needs_wrench(self) -> bool:  # type: ignore[override]
@@ -87,10 +88,6 @@ class ControllerAround(CompiledController):
     def _around(self, inner: _core.Law, dt: float) -> _core.Law:
         """The law around that of the controller."""
 
-    @abstractmethod
-    def _changed(self, tau: Array, dt: float, memory: Any) -> tuple[Array, Any]:
-        """The changed torques (n,) of a law that is not compiled, and the memory for the next tick; None at the first."""
-
     def fresh(self) -> Self:
         """The same law with a memory of its own, for a run at the same time."""
         other = super().fresh()
@@ -100,7 +97,7 @@ class ControllerAround(CompiledController):
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of a copy, or of one in another process: it begins a run."""
-        return super().__getstate__() | {"_inner": None, "_python_memory": None}
+        return super().__getstate__() | {"_inner": None}
 
     def begin(self, state: State) -> _core.Law:
         """Prepares for a tick.
@@ -136,6 +133,11 @@ class ControllerAround(CompiledController):
             return super().torque(state, setpoint)
         tau = vector("torque", self.controller.torque(state, setpoint), self.n, finite=False).copy()
         instance("state", state, State, "armctl.State(q, v) is one")
-        memory = self._python_memory if self._clock.follows(state) else None
-        tau, self._python_memory = self._changed(tau, state.dt, memory)
+        period = (state.dt, state.continuous)
+        if self._period != period:
+            # A controller without compiled law is replaced by PD of unit stiffness, whose reference is its torque.
+            given = _core.PD(stiffness=np.ones(self.n), damping=np.zeros(self.n))
+            self._replace_law(self._around(given, state.dt), period)
+        nothing = np.zeros((5, self.n))
+        super().begin(state).torque(nothing[0], nothing[0], np.vstack([tau, nothing[1:]]), nothing[0], tau)
         return tau

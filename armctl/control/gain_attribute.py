@@ -1,7 +1,5 @@
 """Gain: an attribute of a controller that is checked where it is given or assigned."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 

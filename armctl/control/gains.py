@@ -1,7 +1,5 @@
 """Gains from margins: the highest gains for which the loop tolerates a delay, in any configuration of the arm."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import pi, sin, sqrt, tan

@@ -18,11 +18,7 @@ _TORQUE_SHARE = 0.3  # of the limit, that springs and brakes reach
 
 
 class HandGuiding:
-    """Gravity and most of the friction are compensated, so a hand can move the arm; near limits it resists.
-
-    Attributes:
-        friction_share: The share of friction that is compensated; below 1, so that the arm comes to rest.
-    """
+    """Gravity and most of the friction are compensated, so a hand can move the arm; near limits it resists."""
 
     name = "hand-guiding"
 
@@ -31,7 +27,7 @@ class HandGuiding:
 
         Args:
             arm: The model; that of `ArmEstimate.applied_to` if the arm was identified.
-            friction_share: The share of friction that is compensated, in [0, 0.95].
+            friction_share: The share of friction that is compensated, in [0, 0.95]; below 1, so that the arm comes to rest.
         """
         check_arm(arm)
         self.friction_share = number("friction_share", friction_share, 0.0, 0.95)

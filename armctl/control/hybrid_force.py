@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain, word
+from armctl.control.interface import ArmController
 from armctl.control.task_space import task_rows
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import Array, IntArray, number, shown
@@ -28,18 +28,11 @@ class HybridForce(ArmController):
     After Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation"
     (1987). Along a force axis the tip approaches slowly until it measures a contact. The commanded force then rises from the
     measured to the target force, with integral action and damping. Along all other axes the tip follows its reference like
-    operational space control, and the measured wrench w on motion axes, such as friction on a
-    surface, is compensated. The reference along a force axis
-    is ignored, so the position of the wall need not be known. An axis with target 0 yields from the beginning.
+    operational space control, and the measured wrench w on motion axes, such as friction on a surface, is compensated. The
+    reference along a force axis is ignored, so the position of the wall need not be known. An axis with target 0 yields from
+    the beginning.
 
     It needs `state.wrench`. Arms of less than six joints control the position of the tip, not its orientation.
-
-    Attributes:
-        frame: "world" or "tip", the frame of the axes.
-        bandwidth: rad/s, of the tip's error along motion axes.
-        damping_ratio: 1 is critically damped.
-        approach_speed: m/s; None for one that follows from target and effective mass.
-        contact_force: N, the measured force that counts as a contact; None for a tenth of the target.
     """
 
     name = "hybrid-force"

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain, tip_bound
 from armctl.control.gains import MAX_BANDWIDTH, gain, sample_configurations
-from armctl.control.interface import State
+from armctl.control.interface import ArmController, State
 from armctl.control.task_space import POSE_SIZE, consistent_inverse
 from armctl.core.validation import Array, frozen, number, vector
 from armctl.robot.arm import Arm
@@ -28,17 +27,9 @@ class Impedance(ArmController):
         tau = ID(q, v, a_ref) + J^T K e + D (v_ref - v) + posture
 
     After Hogan, "Impedance control" (1985). D follows from stiffness and mass matrix by simultaneous diagonalization, so every
-    mode has the same damping ratio: Albu-Schaeffer, Ott, Hirzinger, "A unified passivity-based control framework for
-    position, torque and impedance control of flexible joint robots" (2007). At rest, a force f displaces the tip by K^-1 f. The
-    posture spring acts in the null space. The stiffness may change during a run; raising it while the tip is displaced supplies
-    energy.
-
-    Attributes:
-        stiffness: (6,) N/m and N m/rad, of the tip along and about the world's axes, or a function of the time that gives
-            it. It can be replaced during a run.
-        error_max: (6,) m and rad.
-        damping_ratio: 1 is critically damped.
-        posture_stiffness: (n,) N m/rad.
+    mode has the same damping ratio: Albu-Schaeffer, Ott, Hirzinger, "A unified passivity-based control framework for position,
+    torque and impedance control of flexible joint robots" (2007). At rest, a force f displaces the tip by K^-1 f. The posture
+    spring acts in the null space. The stiffness may change during a run; raising it while the tip is displaced supplies energy.
     """
 
     name = "impedance"
@@ -59,9 +50,9 @@ class Impedance(ArmController):
         """An impedance controller for an arm.
 
         Args:
-            stiffness: (6,) N/m and N m/rad, or one number for all six, or a function of the time, s, that gives either. The
-                default is bandwidth^2 x the smallest mass and
-                the smallest inertia of the tip in any direction and configuration.
+            stiffness: (6,) N/m and N m/rad, of the tip along and about the world's axes, or one number for all six, or a
+                function of the time, s, that gives either; it can be replaced during a run. The default is bandwidth^2 x the
+                smallest mass and the smallest inertia of the tip in any direction and configuration.
             error_max: (6,) m and rad, or one number for all six: the spring stretches no further, so that its force is at most
                 stiffness x error_max. Not bounded by default.
             damping_ratio: 1 is critically damped.

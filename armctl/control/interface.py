@@ -13,8 +13,10 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.errors import InputError
+from armctl.core.other_names import check_keywords
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, as_array, flag, instance, integer, number, shown
+from armctl.robot.arm import Arm, check_arm
 
 WRENCH_SIZE = 6
 MAX_PERIOD_S = 1.0  # of control
@@ -113,8 +115,9 @@ def explains_wrong_arguments(torque: _TorqueMethod) -> _TorqueMethod:
 class CompiledController(ABC):
     """A controller whose law is one object of the compiled core, which `torque` and the tick loop of a simulation both call.
 
-    A simulation then runs all ticks without Python, and many runs on several threads. Gains may be assigned between runs. A
-    subclass that overrides `torque` runs in the Python loop, like a controller without a compiled law.
+    A simulation then runs all ticks without Python, and many runs on several threads. The gains that armctl's controllers take
+    are attributes of the same names, and may be assigned between runs. A subclass that overrides `torque` runs in the Python
+    loop, like a controller without a compiled law.
 
     A law of your own is a C function, for example one that `numba.cfunc` compiles: `make_law` then returns an
     `armctl.CFunctionLaw`.
@@ -261,10 +264,40 @@ class CompiledController(ABC):
         return tau
 
 
-def _check_arguments(state: Any, setpoint: object) -> None:
+class ArmController(CompiledController):
+    """The base of armctl's own controllers, for an arm."""
+
+    def __new__(cls, *args: object, **keywords: object) -> Self:
+        """A controller, not yet constructed; a TypeError says which keyword it does not take."""
+        check_keywords(cls, keywords)
+        return super().__new__(cls)
+
+    def __init__(self, arm: Arm):
+        """A controller at the start of a run."""
+        check_arm(arm)
+        super().__init__(arm.n)
+        self._arm = arm
+
+    def make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run.
+
+        Args:
+            dt: s, the control period; 0 means continuous time.
+            continuous: Whether the arm moves continuously during the control period.
+        """
+        return self._make_law(*checked_period(dt, continuous))
+
+    @abstractmethod
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """`make_law` with checked arguments."""
+
+    def _model(self, dt: float, continuous: bool) -> _core.ArmModel:
+        return self._arm.core_model.for_period(dt, continuous)
+
+
+def _check_arguments(state: Any, setpoint: Any) -> None:
     instance("state", state, State, _STATE_HINT)
-    if not isinstance(setpoint, Setpoint):
-        raise InputError(f"setpoint: expected Setpoint, got {shown(setpoint)}; armctl.Setpoint(q, v, a) is one")
+    instance("setpoint", setpoint, Setpoint, "armctl.Setpoint(q, v, a) is one")
     values = {
         "state.q": state.q,
         "state.v": state.v,

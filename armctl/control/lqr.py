@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, joint_gain, optional_gain, scalar_gain
 from armctl.control.gains import DELAY_MARGINS_S, MIN_DELAY_MARGIN_S, required_delay, sampled_inertia
-from armctl.control.interface import checked_period
+from armctl.control.interface import ArmController, checked_period
 from armctl.control.observer_gains import feedback_estimate
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Trajectory, check_motion
@@ -61,16 +60,6 @@ class LQR(ArmController):
     The weights follow from Bryson's rule if `max_error` is given: 1 / max^2 for each error and torque (Bryson and Ho, Applied
     Optimal Control, 1975, 5.2). Otherwise they are inertias, bandwidth^4 M for errors and M^-1 for the torques that accelerate
     the arm, so that all joints have the same bandwidth in all configurations, and the bandwidth follows from the delay margin.
-
-    Attributes:
-        max_error: (n,) rad, of Bryson's rule; 0 if it is not used.
-        max_velocity: (n,) rad/s, of Bryson's rule; 0 for no weight.
-        max_torque: (n,) N m, of Bryson's rule; 0 for the torque limits.
-        integral_time: s: an error that lasts as long costs as much by its integral as by itself. 0 for no integral action.
-        bandwidth: rad/s, without Bryson's rule; None if it follows from the delay margin.
-        observer_bandwidth: rad/s, the root of acceleration noise / noise of the encoders, for which the Kalman filter is; 0 to
-            use measured velocities; None if it follows from the delay margin.
-        delay_margin: s, of gains that follow from it.
     """
 
     name = "lqr"
@@ -102,12 +91,13 @@ class LQR(ArmController):
             arm: The arm whose model it uses.
             motion: The motion along which the gains vary; None for one configuration.
             q: (n,) rad, the configuration without a motion; home by default.
-            max_error: (n,) or one number, rad: gives weights by Bryson's rule.
-            max_velocity: (n,) or one number, rad/s; 0 for no weight.
-            max_torque: (n,) or one number, N m; 0 for the torque limits.
-            integral_time: s; 0 for no integral action.
-            bandwidth: rad/s, without Bryson's rule.
-            observer_bandwidth: rad/s; 0 to use measured velocities.
+            max_error: (n,) or one number, rad: gives weights by Bryson's rule; 0 if it is not used.
+            max_velocity: (n,) or one number, rad/s, of Bryson's rule; 0 for no weight.
+            max_torque: (n,) or one number, N m, of Bryson's rule; 0 for the torque limits.
+            integral_time: s: an error that lasts as long costs as much by its integral as by itself. 0 for no integral action.
+            bandwidth: rad/s, without Bryson's rule; None if it follows from the delay margin.
+            observer_bandwidth: rad/s, the root of acceleration noise / noise of the encoders, for which the Kalman filter is;
+                0 to use measured velocities; None if it follows from the delay margin.
             delay_margin: s, of gains that follow from it.
 
         Raises:

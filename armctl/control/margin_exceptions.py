@@ -1,16 +1,8 @@
 """Which controllers do not satisfy the bounds of the default gains on an arm, and why."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from armctl.control.gains import (
-    MAX_GRAVITY_EXCESS,
-    MAX_PEAK_SENSITIVITY,
-    margin_gains,
-    sample_configurations,
-    sampled_inertia,
-)
+from armctl.control.gains import MAX_GRAVITY_EXCESS, MAX_PEAK_SENSITIVITY, margin_gains, sample_configurations, sampled_inertia
 from armctl.control.impedance import Impedance
 from armctl.robot.arm import Arm
 

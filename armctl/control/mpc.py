@@ -52,10 +52,6 @@ class MPC(ComputedTorqueQP):
     The program of `ComputedTorqueQP` then keeps the limits of the tick itself, and brakes before the end of a joint's range.
     `counts` reports limits that contradict each other, and ticks without a plan. A reference outside of the range of a joint is
     moved to its end.
-
-    Attributes:
-        horizon: s.
-        torque_rate: (n,) N m/s, the largest change of the torques; 0 for no limit.
     """
 
     horizon: Gain[float] = scalar_gain(1e-3, 10.0)

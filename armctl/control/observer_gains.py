@@ -9,8 +9,6 @@ An estimated velocity has much less noise than the difference of two measured po
 difference behind a low-pass of the same noise; see Friedland, Control System Design (1986), chapter 8.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import expm1, log
 from weakref import WeakKeyDictionary

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, scalar_gain
 from armctl.control.gains import DEFAULT_BANDWIDTH
+from armctl.control.interface import ArmController
 from armctl.robot.arm import Arm
 
 
@@ -17,11 +17,6 @@ class OperationalSpace(ArmController):
     After Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation"
     (1987). J# is the dynamically consistent inverse. It is damped near singular configurations, where the posture law takes
     over. The task is the tip's pose at q_ref, so the feedforward is the acceleration of the reference.
-
-    Attributes:
-        bandwidth: rad/s, of the tip's error.
-        damping_ratio: 1 is critically damped.
-        posture_bandwidth: rad/s, of the joint error in the null space of the tip.
     """
 
     name = "operational-space"

@@ -7,7 +7,6 @@ from dataclasses import replace
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.arm_controller import ArmController
 from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain
 from armctl.control.gains import (
     DELAY_MARGINS_S,
@@ -17,7 +16,7 @@ from armctl.control.gains import (
     bandwidth_gains,
     margin_gains,
 )
-from armctl.control.interface import checked_period
+from armctl.control.interface import ArmController, checked_period
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
 
@@ -28,12 +27,8 @@ class PD(ArmController):
     It uses neither gravity nor inertia, so it has a steady-state error under gravity and a tracking error in motion.
 
     Default gains are as high as a delay margin of 5 ms (and of 2.5 control periods) and a peak sensitivity of 1.7 permit in all
-    configurations (`margin_gains`), so they depend on the control period. Gains that you give or assign do not.
-
-    Attributes:
-        stiffness: (n,) N m/rad (Kp); default gains are shown for the control period of the arm's model.
-        damping: (n,) N m s/rad (Kd).
-        delay_margin: s, of the default gains, or two and a half control periods if they are longer.
+    configurations (`margin_gains`), so they depend on the control period: the attributes show those for the period of the arm's
+    model. Gains that you give or assign do not depend on it.
     """
 
     name = "pd"
@@ -57,8 +52,8 @@ class PD(ArmController):
             bandwidth: rad/s, the natural frequency of each joint's closed loop at its median inertia. The gains follow from
                 margins if neither it nor stiffness nor damping is given.
             damping_ratio: 1 is critically damped; of gains that follow from a bandwidth.
-            stiffness: (n,) or one number for all joints, N m/rad; replaces the one that follows from the bandwidth.
-            damping: (n,) or one number for all joints, N m s/rad; replaces the one that follows from the damping ratio.
+            stiffness: (n,) or one number for all joints, N m/rad (Kp); replaces the one that follows from the bandwidth.
+            damping: (n,) or one number for all joints, N m s/rad (Kd); replaces the one that follows from the damping ratio.
             delay_margin: s, of the gains that follow from margins: give a larger one if the delay of the robot is unknown.
         """
         super().__init__(arm)

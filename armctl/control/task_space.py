@@ -1,7 +1,5 @@
 """What task-space controllers share: the rows of a twist, and the dynamically consistent inverse of the tip's Jacobian."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.core.validation import Array

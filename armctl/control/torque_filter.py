@@ -99,9 +99,6 @@ class TorqueFilter(ControllerAround):
     """A controller whose torques go through filters, in series, the same for all joints.
 
     A run begins with filters that are settled at its first torque.
-
-    Attributes:
-        filters: Notches and low-passes, the first one first.
     """
 
     filters: Gain[tuple[Notch | LowPass, ...]] = Gain(_filters)
@@ -111,7 +108,7 @@ class TorqueFilter(ControllerAround):
 
         Args:
             controller: The controller whose torques are filtered.
-            filters: One filter, or several in series.
+            filters: A notch or a low-pass, or several in series, the first one first.
         """
         super().__init__(arm, controller)
         self.filters = filters
@@ -133,16 +130,6 @@ class TorqueFilter(ControllerAround):
     def _around(self, inner: _core.Law, dt: float) -> _core.Law:
         return _core.TorqueFilter(inner, sections=self.sections(dt))
 
-    def _changed(self, tau: Array, dt: float, memory: Any) -> tuple[Array, Any]:
-        from scipy.signal import sosfilt, sosfilt_zi
-
-        if memory is None:
-            sections = self.sections(dt)
-            memory = sections, sosfilt_zi(sections)[:, :, None] * tau
-        sections, state = memory
-        filtered, state = sosfilt(sections, tau[None], axis=0, zi=state)
-        return filtered[0], (sections, state)
-
 
 def _checked_frequency(filter_: Notch | LowPass, frequency: float, dt: float) -> float:
     """A frequency that a filter with this control period can have."""
@@ -156,9 +143,6 @@ class TorqueRateLimit(ControllerAround):
     """A controller with limited torque rates, as the interfaces of many arms require.
 
     The first torque of a run is not limited.
-
-    Attributes:
-        tau_rate_max: (n,) N m/s.
     """
 
     tau_rate_max: Gain[Array] = joint_gain()
@@ -175,11 +159,3 @@ class TorqueRateLimit(ControllerAround):
 
     def _around(self, inner: _core.Law, dt: float) -> _core.Law:
         return _core.TorqueRateLimit(inner, tau_rate_max=self.tau_rate_max, dt=dt)
-
-    def _changed(self, tau: Array, dt: float, memory: Any) -> tuple[Array, Any]:
-        if memory is not None:
-            change = self.tau_rate_max * dt
-            highest = memory + change
-            lowest = memory - change
-            tau = np.where(tau > highest, highest, np.where(tau < lowest, lowest, tau))
-        return tau, tau.copy()

@@ -1,7 +1,5 @@
 """Atomic writing of files: a reader finds the old file or the new one, complete, whatever interrupts the writer."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import stat

@@ -1,7 +1,5 @@
 """Reading of files that may be damaged or hostile: limits of their size, and one sentence for all that is wrong with them."""
 
-from __future__ import annotations
-
 import os
 import warnings
 import zipfile

@@ -1,7 +1,5 @@
 """Zero-phase low-pass filters for recorded signals, and the choice of their cut-off from the data."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np
@@ -43,8 +41,7 @@ def choose_cutoff(positions: Array, dt: float) -> float:
 def velocity_cutoff(positions: Array, dt: float, noise_rms: float) -> float:
     """The highest cut-off, Hz, at which the velocity of positions (T, n) has at most a noise (RMS, rad/s) in all joints.
 
-    Position noise of the level S of the spectrum (rad^2/Hz) becomes a velocity of RMS 2 pi sqrt(S f^3 / 3) up to a cut-off
-    f.
+    Up to a cut-off f, position noise of the level S of the spectrum (rad^2/Hz) becomes a velocity of RMS 2 pi sqrt(S f^3 / 3).
     """
     highest = _MAX_NYQUIST_SHARE * 0.5 / dt
     moves = np.ptp(positions, axis=0) > 0

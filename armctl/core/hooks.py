@@ -1,7 +1,5 @@
 """Functions that the top-level package provides to lower layers, so that these import nothing from above them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """LatestWorker: runs slow work in one thread, newest order only."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable

@@ -395,11 +395,7 @@ def _contact(value: object) -> Contact:
 
 
 class SimulationError(ArmctlError):
-    """A simulation cannot continue.
-
-    Attributes:
-        log: The ticks until then, or None.
-    """
+    """A simulation cannot continue; its `log` has the ticks until then."""
 
     def __init__(self, message: str, log: Log | None = None):
         """An error with the log of the run.

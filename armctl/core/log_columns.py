@@ -1,7 +1,5 @@
 """The arrays over time of a log, with their columns and units: the one list that `Log`, its files and the recorder use."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

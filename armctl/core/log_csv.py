@@ -3,8 +3,6 @@
 Velocities are not read, since robots report them filtered and delayed. They follow from the positions by a zero-phase filter.
 """
 
-from __future__ import annotations
-
 import csv
 import os
 import re

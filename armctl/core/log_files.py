@@ -3,8 +3,6 @@
 A log in a file is arrays over time and "facts": everything else, as JSON. `Log.load` checks what they mean.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """A log as an MCAP file of ROS 2 messages, for `ros2 bag`, Foxglove and PlotJuggler."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Hints for names that other libraries use: what armctl calls the same thing."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -172,10 +172,7 @@ class Pose:
             The distance in m and the angle in rad, 0 to pi.
         """
         instance("other", other, Pose, "armctl.Pose(position) makes one")
-        return (
-            float(np.linalg.norm(other.position - self.position)),
-            rotation_angle(self.rotation.T @ other.rotation),
-        )
+        return float(np.linalg.norm(other.position - self.position)), rotation_angle(self.rotation.T @ other.rotation)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Pose):

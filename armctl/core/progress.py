@@ -1,7 +1,5 @@
 """Progress bars on stderr, for work that may take longer than a few seconds."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Tables of text for terminals, in Markdown and in HTML, for reports, pages and benchmarks."""
 
-from __future__ import annotations
-
 import html
 import re
 import textwrap

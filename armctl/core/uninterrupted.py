@@ -1,7 +1,5 @@
 """Imports that Ctrl-C does not interrupt: packages with compiled code cannot be imported again after half an import."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Units of joint quantities: rad and N m for hinge joints, m and N for slide joints."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 

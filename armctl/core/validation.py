@@ -3,8 +3,6 @@
 All of them raise InputError; `what` is the name of the argument in its message. Use the returned value, not the argument.
 """
 
-from __future__ import annotations
-
 import math
 import numbers
 from collections.abc import Iterable

@@ -1,7 +1,6 @@
 #include "arguments.hpp"
 
 #include <cmath>
-#include <string>
 
 #include "errors.hpp"
 

@@ -1,6 +1,5 @@
 // Named values from which an object is made, such as the gains of a law. The bindings take them from Python's keyword arguments.
 #pragma once
-#include <cstdint>
 #include <initializer_list>
 
 #include "linear_algebra.hpp"

@@ -1,7 +1,6 @@
 // The model of an arm: a tree of links whose joints each turn about, or slide along, their own z axis.
 #pragma once
 #include <memory>
-#include <string>
 
 #include "arguments.hpp"
 #include "errors.hpp"

@@ -3,15 +3,9 @@
 // Lengths are in units of the arm's reach, so that one set of constants fits an arm of three centimetres and one of three
 // metres. The chain has k joints and n unknowns; n is less than k if joints follow others.
 #pragma once
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <cstdint>
 #include <limits>
 #include <numbers>
 #include <optional>
-#include <span>
-#include <vector>
 
 #include "arguments.hpp"
 #include "errors.hpp"

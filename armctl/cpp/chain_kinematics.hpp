@@ -1,11 +1,5 @@
 // Where the joints and the tip of a chain are, and how they move.
 #pragma once
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <limits>
-#include <vector>
-
 #include "chain.hpp"
 
 namespace armctl {

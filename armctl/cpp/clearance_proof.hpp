@@ -1,11 +1,5 @@
 // Proofs that an arm keeps its distance during a whole motion: bisection in time with bounds of each link's motion.
 #pragma once
-#include <algorithm>
-#include <cmath>
-#include <memory>
-#include <optional>
-#include <vector>
-
 #include "collision_scene.hpp"
 #include "errors.hpp"
 #include "spans.hpp"

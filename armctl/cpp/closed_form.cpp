@@ -1,7 +1,5 @@
 #include "closed_form.hpp"
 
-#include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include "errors.hpp"

@@ -3,10 +3,6 @@
 // Every frame maps the world at the reference configuration to the world now. Frame 0 is the world itself; every other frame
 // belongs to a joint that moves. Shapes are given in the world at the reference configuration.
 #pragma once
-#include <algorithm>
-#include <cstdint>
-#include <vector>
-
 #include "arguments.hpp"
 #include "convex.hpp"
 #include "errors.hpp"

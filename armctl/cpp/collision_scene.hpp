@@ -3,11 +3,7 @@
 // For any direction v, v.w / |v| is a lower bound of the distance of two shapes, where w is the support point of their
 // difference; it does not rely on convergence, so every proof of clearance rests on it.
 #pragma once
-#include <algorithm>
-#include <cmath>
 #include <memory>
-#include <optional>
-#include <vector>
 
 #include "collision_model.hpp"
 #include "gjk.hpp"
@@ -149,9 +145,8 @@ public:
         return -witness(pair).distance;
     }
 
-    // The pairs that joints, moving by at most delta (m,), can bring nearer by more than a share of what is free, which is
-    // their distance less their clearance (K,). Places
-    // the joints.
+    // The pairs that joints, moving by at most delta (m,), can bring nearer by more than a share of what is free, which is their
+    // distance less their clearance (K,). Places the joints.
     void find_near_pairs(Vector positions, Vector delta, double share, Vector clearances) {
         near_pairs_.clear();
         place(positions);

@@ -1,7 +1,5 @@
 // Convex shapes and their support points: the point of a shape that is farthest in a direction.
 #pragma once
-
-#include <cstdint>
 #include <vector>
 
 #include "vectors.hpp"

@@ -1,10 +1,5 @@
 // The squared error of a tip around one configuration, and the steps that decrease it.
 #pragma once
-#include <algorithm>
-#include <cmath>
-#include <numbers>
-#include <vector>
-
 #include "chain_kinematics.hpp"
 #include "linear_algebra.hpp"
 

@@ -1,10 +1,5 @@
 // What a motion must keep: a clearance from everything and, if asked, the direction of an axis.
 #pragma once
-#include <algorithm>
-#include <cmath>
-#include <memory>
-#include <vector>
-
 #include "clearance_proof.hpp"
 #include "spans.hpp"
 

@@ -4,7 +4,6 @@
 // three-dimensional space", IEEE J. Robotics and Automation 4 (1988).
 #pragma once
 #include <algorithm>
-#include <array>
 #include <limits>
 #include <optional>
 

@@ -3,13 +3,6 @@
 // The damping follows the error as proposed by Sugihara ("Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
 // method", IEEE Trans. Robotics 27(5), 2011).
 #pragma once
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <limits>
-#include <numbers>
-#include <vector>
-
 #include "error_model.hpp"
 
 namespace armctl {
@@ -23,10 +16,9 @@ constexpr int MAX_DESCENT_STEPS = 60;
 constexpr int STALL_STEPS = 3;       // a descent ends after so many steps ...
 constexpr double STALL_RATIO = 0.7;  // ... in which the squared error stays above this share of what it was
 constexpr double DAMPING = 2e-2;
-// Every other random start lies beyond the bounds by up to this share of their range and is clamped to them: solutions at
-// bounds are found faster from there. The others begin with a descent without bounds, turned back into them by whole turns: it
-// passes local minima at the bounds. Of 5 000 targets on six-joint chains with narrow bounds, the slowest needs 270 starts, not
-// 3 000.
+// Every other random start lies beyond the bounds by up to this share of their range and is clamped to them: solutions at bounds
+// are found faster from there. The others begin with a descent without bounds, turned back into them by whole turns: it passes
+// local minima at the bounds. Of 5 000 targets on six-joint chains with narrow bounds, the slowest needs 270 starts, not 3 000.
 constexpr double START_STRETCH = 0.2;
 // The search gives up if no descent without bounds has solved the target by then: then no configuration does. Of 90 000 targets
 // with joints at their bounds, on 16 arms, the slowest needed 54 starts.

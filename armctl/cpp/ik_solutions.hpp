@@ -1,9 +1,5 @@
 // All configurations for one target, refined from seeds: those of a closed form, or solutions that a search has found.
 #pragma once
-#include <algorithm>
-#include <cmath>
-#include <vector>
-
 #include "closed_form.hpp"
 #include "ik_search.hpp"
 

@@ -1,10 +1,7 @@
 // Newton's method on a cost with logarithmic barriers: Boyd and Vandenberghe, "Convex Optimization", 2004, chapter 11.
 #pragma once
-
 #include <algorithm>
-#include <cstddef>
 #include <limits>
-#include <span>
 #include <vector>
 
 #include "spans.hpp"

@@ -1,7 +1,6 @@
 // What the ticks of simulations and of environments have in common: motors, measurement noise and delays.
 #pragma once
 #include <cmath>
-#include <string>
 
 #include "arguments.hpp"
 #include "errors.hpp"

@@ -1,7 +1,6 @@
 // What the core uses of MuJoCo: functions by their public symbols, the arrays of a simulation, its contacts, and calls that
 // survive MuJoCo's errors.
 #pragma once
-#include <cstdint>
 #include <string>
 
 #include "arguments.hpp"

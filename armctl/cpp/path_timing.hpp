@@ -12,10 +12,6 @@
 // That b makes speed and acceleration convex is Verscheure et al., "Time-optimal path tracking for robots: a convex
 // optimization approach", IEEE Trans. Automatic Control 54(10), 2009.
 #pragma once
-#include <algorithm>
-#include <cmath>
-#include <limits>
-
 #include "arguments.hpp"
 #include "errors.hpp"
 #include "interior_point.hpp"
@@ -23,8 +19,7 @@
 
 namespace armctl {
 
-// Weights of the barrier relative to the duration: the first from a constant path speed or from near the
-// solution, and the last.
+// Weights of the barrier relative to the duration: the first from a constant path speed or from near the solution, and the last.
 constexpr double barrier_from_constant = 2e-5;
 constexpr double barrier_from_near = 1e-7;
 constexpr double path_barrier_last = 5e-9;

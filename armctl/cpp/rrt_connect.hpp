@@ -3,14 +3,6 @@
 // Sources: J. J. Kuffner, S. M. LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000; with
 // the dynamic domain of A. Yershova et al., "Dynamic-domain RRTs", ICRA 2005.
 #pragma once
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <limits>
-#include <memory>
-#include <optional>
-#include <vector>
-
 #include "free_space.hpp"
 #include "spans.hpp"
 

@@ -1,6 +1,5 @@
 // The tick loop of a simulation: measure, control, step, record.
 #pragma once
-#include <array>
 #include <mutex>
 
 #include "dynamics.hpp"

@@ -10,10 +10,8 @@
 // That optimal profiles are such ramps and plateaus is Pontryagin's principle, e.g. Bryson and Ho, "Applied Optimal Control",
 // chapter 3.
 #pragma once
-#include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 
 #include "arguments.hpp"
 #include "interior_point.hpp"
@@ -65,8 +63,7 @@ struct Waypoints {
     Matrix a_bound = arguments.matrix(K, n, "a_bound");
 };
 
-// The c of the falling line c - j t of the acceleration that goes furthest; NaN if no acceleration makes this change of
-// velocity.
+// The c of the falling line c - j t of the acceleration that goes furthest; NaN if no acceleration makes this change of velocity.
 inline double falling_line(double time, EndState start, EndState end, const JointBounds& joint) {
     const double a_max = joint.a_max;
     const double j_max = joint.j_max;

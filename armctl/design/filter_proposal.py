@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import CompiledController, Controller, LowPass, Notch, TorqueFilter, controller_name
+from armctl.control.interface import CompiledController, Controller, controller_name
+from armctl.control.torque_filter import LowPass, Notch, TorqueFilter
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, number
 from armctl.design.linearization import Linearizer
@@ -139,9 +140,7 @@ def _worst(linearizers: list[Linearizer], law: Controller, q: Array) -> LoopMarg
     if not worst:
         return worst
     return replace(
-        worst,
-        delay_margin=min(each.delay_margin for each in found),
-        phase_margin=min(each.phase_margin for each in found),
+        worst, delay_margin=min(each.delay_margin for each in found), phase_margin=min(each.phase_margin for each in found)
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import Controller, State, controller_name
+from armctl.control.interface import Controller, State, controller_name
 from armctl.core.log import Log
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.result import Verdict

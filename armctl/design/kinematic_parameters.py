@@ -1,7 +1,5 @@
 """The geometry of an arm as frames in a chain, each with small errors: measured poses, their Jacobian, and corrected models."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import CompiledController, Controller, controller_name
+from armctl.control.interface import CompiledController, Controller, controller_name
 from armctl.core.errors import ArmctlError, InputError
 from armctl.core.validation import Array, integer, number
 from armctl.design.loop import MAX_DELAY_TICKS, Loop

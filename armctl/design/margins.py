@@ -9,7 +9,7 @@ from math import degrees, isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import Controller, controller_name
+from armctl.control.interface import Controller, controller_name
 from armctl.core.errors import InputError
 from armctl.core.limits import smallest_configuration
 from armctl.core.result import Verdict
@@ -96,12 +96,7 @@ class Margins(Verdict):
         return figures
 
 
-def margins(
-    arm: Arm,
-    controller: Controller | str,
-    poses: int | ArrayLike = 20,
-    plants: Sequence[Plant] = (),
-) -> Margins:
+def margins(arm: Arm, controller: Controller | str, poses: int | ArrayLike = 20, plants: Sequence[Plant] = ()) -> Margins:
     """Linearizes the loop of an arm and a controller at many configurations, and finds the worst margins.
 
     A search by random steps then begins at the configuration with the least delay margin, and one at that with the largest Ms.
@@ -135,18 +130,10 @@ def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int 
     loops = [linearizer.loop_at(law, q) for linearizer, q in cases]
     if not _dimensions(poses):
         found = [loop.coarse_margins() for loop in loops]
-        for score in (_delay_margin, _negative_sensitivity):
+        for score in (lambda margins: float(margins.delay.min()), lambda margins: -float(margins.peak_sensitivity.max())):
             linearizer, q = cases[int(np.argmin([score(each) for each in found]))]
             loops.append(_worst_loop(linearizer, law, q, score))
     return loops
-
-
-def _delay_margin(margins: CoarseMargins) -> float:
-    return float(margins.delay.min())
-
-
-def _negative_sensitivity(margins: CoarseMargins) -> float:
-    return -float(margins.peak_sensitivity.max())
 
 
 def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Callable[[CoarseMargins], float]) -> Loop:

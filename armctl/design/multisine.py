@@ -1,7 +1,5 @@
 """Multisine: a motion of all joints at once from which frequency responses are measured."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

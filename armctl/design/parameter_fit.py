@@ -1,7 +1,5 @@
 """The fit of all parameters of an arm to recorded torques: filtered regressor, delay, friction, physical consistency."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 
@@ -10,14 +8,7 @@ import numpy as np
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.log import RECORDED, Log
 from armctl.core.validation import Array, BoolArray, IntArray
-from armctl.design.fit_rows import (
-    LawFit,
-    Rows,
-    best_of,
-    cost_of_damping,
-    speeds_of_torques,
-    squared_residual,
-)
+from armctl.design.fit_rows import LawFit, Rows, best_of, cost_of_damping, speeds_of_torques, squared_residual
 from armctl.design.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
 from armctl.design.regressor import ArmRegressor, FrictionShape
 from armctl.robot.passive_forces import DryFriction

@@ -8,8 +8,6 @@ the logarithms of its diagonal.
 Parameters are in Pinocchio's order: m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.core.validation import Array

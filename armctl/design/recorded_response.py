@@ -1,7 +1,5 @@
 """The frequency responses of all joints from a recording of a multisine, with bounds."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

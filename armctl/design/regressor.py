@@ -3,8 +3,6 @@
 tau = inverse_dynamics(q, v, a) + W(q, v, a) (x - x_model)
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl import _core
-from armctl.control import Controller, State, controller_name
-from armctl.control.interface import has_compiled_law
+from armctl.control.interface import Controller, State, controller_name, has_compiled_law
 from armctl.core.errors import InputError, ModelError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array

@@ -9,10 +9,13 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import CONTROLLERS, LQR, PD, Controller, controller_by_name
+from armctl.control import CONTROLLERS, controller_by_name
 from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains, sample_configurations
 from armctl.control.impedance import IMPEDANCE_BANDWIDTH
+from armctl.control.interface import Controller
+from armctl.control.lqr import LQR
 from armctl.control.observer_gains import observer_gains
+from armctl.control.pd import PD
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, IntArray, frozen, number, shown

@@ -1,7 +1,5 @@
 """Actions: what the numbers of a policy mean."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -49,8 +47,7 @@ for _name in ("joint_delta", "cartesian_delta"):
 def target_limits(arm: Arm) -> Limits:
     """The limits of an arm, with finite positions for joint targets; InputError if a joint lacks another one.
 
-    Targets keep a thousandth of a joint's range away from its stops; those of a joint without stops stay within a turn of
-    home.
+    Targets keep a thousandth of a joint's range away from its stops; those of a joint without stops stay within a turn of home.
     """
     limits = arm.limits
     for what in ("v_max", "a_max", "tau_max"):

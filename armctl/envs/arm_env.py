@@ -24,10 +24,7 @@ class ArmEnv(gymnasium.Env):
         metadata: The rendering modes, in the form of Gymnasium.
     """
 
-    metadata = {  # noqa: RUF012
-        "render_modes": ["rgb_array", "human"],
-        "render_fps": 20,
-    }
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 20}  # noqa: RUF012
 
     def __init__(
         self,

@@ -1,7 +1,5 @@
 """Batch: several episodes of one task at once, which the single environment and the vector environment share."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -82,12 +82,7 @@ class _Recording:
 
 
 def save_demonstrations(
-    env: gymnasium.Env,
-    folder: str | os.PathLike[str],
-    episodes: int,
-    *,
-    seed: int = 0,
-    policy: _Policy | None = None,
+    env: gymnasium.Env, folder: str | os.PathLike[str], episodes: int, *, seed: int = 0, policy: _Policy | None = None
 ) -> DemonstrationsResult:
     """Saves episodes of the scripted expert, or of a teleoperator, as a data set in the format LeRobotDataset v3.0.
 

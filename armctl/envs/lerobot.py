@@ -4,8 +4,6 @@ The format keeps numbers in Parquet, pictures in films, and says in `meta/` wher
 to a size and are numbered in chunks of a thousand.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from armctl.core.errors import InputError, UnknownNameError
-from armctl.core.validation import instance, number, shown
+from armctl.core.validation import instance, number
 from armctl.sim.plant import PLANT_ATTRIBUTES, Plant
 from armctl.sim.plant_attribute import Kind
 from armctl.study.factors import Range
@@ -44,8 +44,7 @@ class Randomization:
                 raise UnknownNameError.of("attribute that can vary", f"{name!s:.80}", allowed)
             if name not in allowed:
                 raise InputError(f"randomize: {name} cannot vary; {', '.join(allowed)} can")
-            if not isinstance(each, Range):
-                raise InputError(f"randomize: {name}: expected Range, got {shown(each)}; armctl.Range(0.0, 0.5) is one")
+            instance(f"randomize: {name}", each, Range, "armctl.Range(0.0, 0.5) is one")
             if name in _OF_OBJECT:
                 number(f"randomize: {name}: low", each.low, 1e-6)
             else:

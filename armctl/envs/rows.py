@@ -1,15 +1,13 @@
 """Rows: the simulated arms of a batch of environments, and their compiled step on several threads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from armctl import _core
-from armctl.control import State, controller_by_name
-from armctl.control.interface import has_compiled_law
+from armctl.control import controller_by_name
+from armctl.control.interface import State, has_compiled_law
 from armctl.core.log import SimulationError
 from armctl.core.validation import Array, IntArray
 from armctl.envs.actions import ActionMode, smoothing_ticks, target_limits

@@ -1,7 +1,5 @@
 """Screen: pictures of an environment, or the viewer's page."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import mujoco

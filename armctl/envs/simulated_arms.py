@@ -1,7 +1,5 @@
 """SimulatedArms: the models and states of MuJoCo for several copies of an arm, and what changes in them for each episode."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 

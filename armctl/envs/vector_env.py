@@ -27,10 +27,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         metadata: The autoreset mode and the rendering modes, in the form of Gymnasium.
     """
 
-    metadata = {  # noqa: RUF012
-        "render_modes": [],
-        "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP,
-    }
+    metadata = {"render_modes": [], "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP}  # noqa: RUF012
 
     def __init__(
         self,

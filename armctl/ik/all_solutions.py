@@ -16,15 +16,7 @@ from armctl.core.target import TargetLike
 from armctl.core.validation import flag, frozen, integer
 from armctl.ik.closed_form_solutions import Solutions, closed_form_solutions
 from armctl.ik.numerical_solutions import completed_solutions, numerical_solutions
-from armctl.ik.problem import (
-    MIN_TOLERANCE,
-    Problem,
-    ik_chain,
-    read_seed,
-    read_start,
-    read_target,
-    read_tolerance,
-)
+from armctl.ik.problem import MIN_TOLERANCE, Problem, ik_chain, read_seed, read_start, read_target, read_tolerance
 from armctl.ik.result import BATCH_ARRAYS, IkBatch, IkResult
 from armctl.ik.solve import solve_ik
 from armctl.robot.arm import Arm

@@ -85,16 +85,7 @@ def closed_form_solutions(
     rows = _room(room, len(chain.unit))
     assert chain.closed_form_core is not None
     found = chain.closed_form_core.solve_all(
-        target,
-        q0,
-        position_tolerance,
-        orientation_tolerance,
-        slack,
-        margin,
-        positions,
-        min_samples,
-        limit,
-        *rows,
+        target, q0, position_tolerance, orientation_tolerance, slack, margin, positions, min_samples, limit, *rows
     )
     is_complete = not found.lost and not found.doubtful and closed_form.is_exact and closed_form.held is None
     return _solutions(rows, found.count, found.samples, found.steps, is_complete)
@@ -141,11 +132,6 @@ def polished(problem: Problem, seeds: Array, starts: int, is_complete: bool) -> 
     """The solutions that seeds (M, n) lead to, the nearest to q0 first; `is_complete` holds if none of the seeds is lost."""
     rows = _room(*seeds.shape)
     found = problem.chain.core.polish(
-        problem.targets[0],
-        problem.position_tolerance,
-        problem.orientation_tolerance,
-        problem.q0[0],
-        seeds,
-        *rows,
+        problem.targets[0], problem.position_tolerance, problem.orientation_tolerance, problem.q0[0], seeds, *rows
     )
     return _solutions(rows, found.count, starts, found.steps, is_complete and found.lost == 0)

@@ -1,7 +1,5 @@
 """Recognition of the arms that have a closed form, from the axes of their joints."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

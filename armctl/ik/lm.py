@@ -1,7 +1,5 @@
 """The Levenberg-Marquardt method of the compiled core, called with a Problem."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

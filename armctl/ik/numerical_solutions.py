@@ -1,7 +1,5 @@
 """Solutions that a search from many starts finds, for arms and targets without a closed form."""
 
-from __future__ import annotations
-
 import itertools
 from functools import lru_cache
 from typing import NamedTuple

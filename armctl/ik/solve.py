@@ -19,15 +19,7 @@ from armctl.core.validation import Array, flag, frozen
 from armctl.ik import lm
 from armctl.ik.closed_form_solutions import closed_form_solutions
 from armctl.ik.numerical_solutions import numerical_solutions, swept_joints
-from armctl.ik.problem import (
-    MIN_TOLERANCE,
-    Problem,
-    ik_chain,
-    read_seed,
-    read_start,
-    read_target,
-    read_tolerance,
-)
+from armctl.ik.problem import MIN_TOLERANCE, Problem, ik_chain, read_seed, read_start, read_target, read_tolerance
 from armctl.ik.result import IkResult, failure_reason
 from armctl.robot.arm import Arm
 

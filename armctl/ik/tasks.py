@@ -1,7 +1,5 @@
 """The tasks and limits that armctl adds to mink's quadratic program. This imports mink: load it late."""
 
-from __future__ import annotations
-
 import mink
 import numpy as np
 from mink.tasks import BaseTask

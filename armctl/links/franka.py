@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -92,17 +94,14 @@ class Franka(Link):
 
     def open(self) -> None:
         """Connects, and sets load and collision thresholds."""
-        client = _client()
-        kind = client.RealtimeConfig.kEnforce if self._real_time else client.RealtimeConfig.kIgnore
-        try:
+        with _calling(f"{self.host}: cannot be opened: ") as client:
+            kind = client.RealtimeConfig.kEnforce if self._real_time else client.RealtimeConfig.kIgnore
             self._robot = client.Robot(self.host, kind)
             torques = [_COLLISION_TORQUE] * 7
             forces = [_COLLISION_FORCE] * 6
             self._robot.set_collision_behavior(torques, torques, forces, forces)
             if self.payload:
                 self._robot.set_load(self.payload, self._center.tolist(), self._inertia.tolist())
-        except _errors(client) as error:
-            raise LinkError(f"{self.host}: cannot be opened: {error}") from None
 
     def read(self) -> Seen:
         return self._seen(self._state())
@@ -111,20 +110,18 @@ class Franka(Link):
         return np.array(self._state().O_T_EE).reshape(4, 4).T
 
     def start(self) -> None:
-        client = _client()
-        try:
+        with _calling() as client:
             self._control = self._opened().start_joint_position_control(client.ControllerMode.JointImpedance)
-        except _errors(client) as error:
-            raise LinkError(str(error)) from None
         self._is_first = True
         self._received = time.monotonic()
         self._intervals = deque([0.0], maxlen=_ROWS_ON_THEIR_WAY)
 
     def wait(self) -> tuple[int, Seen]:
-        client = _client()
+        control = self._stream()
         try:
-            state, period = self._stream().readOnce()
-        except _errors(client) as error:
+            with _calling():
+                state, period = control.readOnce()
+        except LinkError as error:
             self._control = None
             late = max(self._intervals) - self.dt
             raise LinkError(f"{error}; a row came {1e3 * late:.1f} ms late" if late > 0.5 * self.dt else str(error)) from None
@@ -136,28 +133,23 @@ class Franka(Link):
         return ticks, self._seen(state)
 
     def send(self, q: Array, last: bool) -> None:
-        client = _client()
-        command = client.JointPositions(vector("q", q, 7).tolist())
-        command.motion_finished = flag("last", last)
-        try:
-            self._stream().writeOnce(command)
-        except _errors(client) as error:
-            self._control = None
-            raise LinkError(str(error)) from None
-        if last:
-            self._control = None  # the next motion must not find it
+        q = vector("q", q, 7)
+        last = flag("last", last)
+        control = self._stream()
+        self._control = None  # where the call fails or the stream ends, the next motion must not find it
+        with _calling() as client:
+            command = client.JointPositions(q.tolist())
+            command.motion_finished = last
+            control.writeOnce(command)
+        self._control = None if last else control
 
     def recover(self) -> None:
-        client = _client()
         self._control = None
-        try:
+        with _calling("recover: "):
             self._opened().automatic_error_recovery()
-        except _errors(client) as error:
-            raise LinkError(f"recover: {error}") from None
 
     def hand(self, action: str, *arguments: float) -> Any:
-        client = _client()
-        try:
+        with _calling("gripper: ") as client:
             if self._hand is None:
                 self._hand = client.Gripper(self.host)
             if action == "move":
@@ -165,8 +157,6 @@ class Franka(Link):
             if action == "grasp":
                 return self._hand.grasp(0.0, _HAND_SPEED, arguments[0], _HAND_WIDTH_ERROR, _HAND_WIDTH_ERROR)
             state = self._hand.read_once()
-        except _errors(client) as error:
-            raise LinkError(f"gripper: {error}") from None
         return state.width, state.max_width, state.is_grasped
 
     def close(self) -> None:
@@ -185,11 +175,8 @@ class Franka(Link):
         return self._control
 
     def _state(self) -> Any:
-        client = _client()
-        try:
+        with _calling(f"{self.host}: "):
             return self._opened().read_once()
-        except _errors(client) as error:
-            raise LinkError(f"{self.host}: {error}") from None
 
     def _seen(self, state: Any) -> Seen:
         fault = str(state.current_errors) if state.current_errors else ""
@@ -203,13 +190,14 @@ class Franka(Link):
         )
 
 
-def _errors(client: Any) -> tuple[type[Exception], ...]:
-    """What Franka's client raises: its exceptions have no common base."""
-    return (client.FrankaException, RuntimeError)
-
-
-def _client() -> Any:
+@contextmanager
+def _calling(words: str = "") -> Iterator[Any]:
+    """Franka's client, whose exceptions become LinkErrors that begin with some words; they have no common base."""
     try:
-        return import_module("pylibfranka")
+        client = import_module("pylibfranka")
     except ImportError:
         raise NotInstalledError.of_extra("links to a Franka need pylibfranka", "franka") from None
+    try:
+        yield client
+    except (client.FrankaException, RuntimeError) as error:
+        raise LinkError(f"{words}{error}") from None

@@ -1,7 +1,5 @@
 """LinkDrive: a robot behind the members of `sim.Drive`; its MjData mirrors what the robot measures."""
 
-from __future__ import annotations
-
 import copy
 import time
 from collections import deque
@@ -11,7 +9,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from armctl.control import Controller, State
+from armctl.control.interface import Controller, State
 from armctl.core.errors import LinkError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
@@ -93,10 +91,6 @@ class LinkDrive:
         self._see(first.t, first.q, first.v)
 
     @property
-    def n(self) -> int:
-        return self.actuation.n
-
-    @property
     def blocked(self) -> str:
         """Why no motion may start: the robot reports a fault; empty if one may."""
         return f"{self.fault}; call robot.recover() when the robot may move again" if self.fault else ""
@@ -142,21 +136,17 @@ class LinkDrive:
         return rows
 
     def hold_reference(self, seconds: float) -> TickReference:
-        still = np.zeros((max(1, round(seconds / self.dt)), self.n))
+        still = np.zeros((max(1, round(seconds / self.dt)), self.actuation.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
     def run(
-        self,
-        controller: Controller | None,
-        reference: TickReference,
-        recorder: Recorder,
-        to_rest: Pieces | None = None,
+        self, controller: Controller | None, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None
     ) -> None:
         """Checks a reference, or the motion `to_rest` that it begins; has it played, mirrors and records it."""
         if self.fault:
             raise LinkError(self.blocked)
         assert isinstance(recorder, _LinkRecorder)
-        recorder.began = True
+        recorder.has_begun = True
         self._recorder = recorder
         ticks = len(reference.q)
         course = self._course(reference) if to_rest is None else to_rest
@@ -338,13 +328,8 @@ class _LinkRecorder(Recorder):
 
     def __init__(self, drive: LinkDrive):
         super().__init__(drive.model, drive.actuation, drive._tips)
-        self.began = False  # whether a run was begun, even if nothing was sent
         self.segments: list[_Segment] = []  # its readings, by stream
         self._drive = drive
-
-    @property
-    def has_begun(self) -> bool:
-        return self.began
 
     def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = slice(0, 6)) -> Log:
         """The readings as a Log. A tick that was lost has the next reading, and a reference between those that were sent."""

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import ComputedTorque
+from armctl.control.computed_torque import ComputedTorque
 from armctl.core.atomic import file_path
 from armctl.core.errors import LinkError
 from armctl.core.trajectory import TickReference

@@ -1,7 +1,5 @@
 """A LinkHost in a process of its own, with a lease: without a word of the planner, the arm brakes on its path."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import os

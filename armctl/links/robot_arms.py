@@ -1,10 +1,8 @@
 """RobotArms: the arm of a robot, with its reaction to contacts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
-from armctl.control import State
+from armctl.control.interface import State
 from armctl.core.errors import LinkError
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array

@@ -1,7 +1,5 @@
 """What armctl makes of the actuators, springs and sensors of a file: a sentence for whatever is not what it was."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path

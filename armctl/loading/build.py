@@ -1,7 +1,5 @@
 """Third stage of loading: build the arms of a prepared model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

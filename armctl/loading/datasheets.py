@@ -3,8 +3,6 @@
 Only what is particular to one robot stands here. A robot without a row works too: see `robots.py` for the defaults.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import degrees, radians
 

@@ -1,7 +1,5 @@
 """First stage of loading: describe the arms in a compiled model. Nothing is changed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations

@@ -1,7 +1,5 @@
 """Where a model is at home: positions and controls from its keyframe `home`, or else from its ranges."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

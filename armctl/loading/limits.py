@@ -1,7 +1,5 @@
 """The limits of an arm's joints: from the model, a data sheet or a URDF, else documented defaults."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -56,10 +54,7 @@ def datasheet_limits(row: Row | None, n: int) -> JointData | None:
 
 
 def torque_limits(
-    model: mujoco.MjModel,
-    transmissions: Sequence[Transmission],
-    datasheet: JointData | None,
-    motors: Sequence[DcMotor | None],
+    model: mujoco.MjModel, transmissions: Sequence[Transmission], datasheet: JointData | None, motors: Sequence[DcMotor | None]
 ) -> TorqueLimits:
     """The torque limits of an arm's joints in a model as compiled from its file, with its own actuators.
 

@@ -1,7 +1,5 @@
 """Checks of a model before it becomes an arm: what armctl refuses, and what it notes."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

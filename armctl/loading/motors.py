@@ -1,7 +1,5 @@
 """Turns the actuators of an arm into torque motors, in a specification or in a compiled model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

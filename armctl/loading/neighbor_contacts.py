@@ -1,7 +1,5 @@
 """Contacts between links that overlap at home: they would brake the joints between them."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import mujoco

@@ -1,7 +1,5 @@
 """Second stage of loading: make a model whose arms have torque motors, from a specification or from a compiled model."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """SRDF, the file beside a URDF that names pairs of links that may touch, groups of joints, and configurations such as home."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Motors for robots whose file has none: simulators of learning tasks move the tip by a weld to a mocap body instead."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

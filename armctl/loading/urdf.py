@@ -1,7 +1,5 @@
 """What MuJoCo leaves out of a URDF: motors, speed limits, and meshes that it does not find; and corrected inertias."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence

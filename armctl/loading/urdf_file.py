@@ -1,7 +1,5 @@
 """Reads the XML of a URDF: prefixes may be undeclared, xacro is expanded, entities are refused."""
 
-from __future__ import annotations
-
 import importlib
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What couples the joints of a model besides the links: tendons and equality constraints."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

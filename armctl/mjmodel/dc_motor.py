@@ -1,7 +1,5 @@
 """DcMotor: a `dcmotor` actuator of MuJoCo, and the torque that it gives at a speed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Edits of models: a point mass on a body, a body that can carry a payload, the options of another specification."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pinocchio as pin

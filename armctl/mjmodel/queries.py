@@ -1,7 +1,5 @@
 """Queries of a compiled model: names, joints of a body, parents and descendants, actuators of joints."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

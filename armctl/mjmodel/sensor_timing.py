@@ -1,7 +1,5 @@
 """SensorTiming: when a file's sensors measure its joints, and how late they are read."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Spring joints: rotor, spring and link in series, an elastic joint."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -4,8 +4,6 @@ A model may have a body of this name itself; otherwise `armctl.load` adds one. A
 can lack it, because a body cannot be added to a compiled model.
 """
 
-from __future__ import annotations
-
 import mujoco
 
 from armctl.core.errors import ModelError

@@ -4,8 +4,6 @@ Joints that equalities couple at fixed ratios (a mimic joint, a pair of fingers 
 freedom, and an arm counts them as one joint. MuJoCo's equalities are soft constraints; armctl takes them as rigid.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

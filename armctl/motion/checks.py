@@ -1,7 +1,5 @@
 """Checks of the arguments that every planner takes."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

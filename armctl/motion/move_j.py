@@ -19,12 +19,7 @@ _MAX_OFF_LINE = 1e-6  # of the smallest limit of speed or acceleration
 
 
 def move_j(
-    arm: Arm,
-    q_start: ArrayLike | Setpoint,
-    q_goal: ArrayLike,
-    *,
-    speed: float = 1.0,
-    straight: bool = True,
+    arm: Arm, q_start: ArrayLike | Setpoint, q_goal: ArrayLike, *, speed: float = 1.0, straight: bool = True
 ) -> JointTrajectory:
     """The fastest jerk-limited motion from one joint position to rest at another.
 

@@ -1,7 +1,5 @@
 """Motions that start while the arm moves: it comes to rest as fast as it can, and what follows begins before it rests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -114,10 +114,7 @@ def combined(motions: Mapping[str, JointTrajectory], columns: Mapping[str, slice
 
 
 def _goals(
-    checker: CollisionChecker,
-    arms: Mapping[str, Arm],
-    starts: Mapping[str, Array],
-    solutions: Mapping[str, Sequence[Array]],
+    checker: CollisionChecker, arms: Mapping[str, Arm], starts: Mapping[str, Array], solutions: Mapping[str, Sequence[Array]]
 ) -> tuple[Array, float]:
     """(g, N) combinations of the arms' solutions that touch nothing, the nearest first, and the distance of the freest."""
     choices = [solutions.get(tip, [starts[tip]]) for tip in arms]

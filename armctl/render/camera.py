@@ -1,7 +1,5 @@
 """A camera that shows the whole arm, its target, and the path between them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

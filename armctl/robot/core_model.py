@@ -1,7 +1,5 @@
 """The model of an arm for the compiled core."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """Parity: an arm's Pinocchio model compared with MuJoCo."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -17,8 +15,7 @@ PARITY_TOLERANCE = 1e-9
 def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
     """Compares tip pose, mass matrix and bias of an arm's Pinocchio model with MuJoCo's, at home and at random states.
 
-    Returns the largest difference, relative to the magnitude of what is compared (at least 1). ModelError if it is above
-    1e-9.
+    Returns the largest difference, relative to the magnitude of what is compared (at least 1). ModelError if it is above 1e-9.
     """
     rng = np.random.default_rng(seed)
     scratch = arm.pinocchio_model.scratch

@@ -5,8 +5,6 @@ bodies behind them are rigidly connected to the link that carries them. Joints t
 mimic joints.
 """
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass, fields
 from functools import cached_property

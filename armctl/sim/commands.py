@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
-from armctl.control import State
+from armctl.control.interface import State
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
@@ -197,12 +197,7 @@ class Commands:
         return self._move_along(goal, partial(move_l, self.arm, self._start, end), **options)
 
     def move_c(
-        self,
-        via: Pose | ArrayLike,
-        target: TargetLike,
-        *,
-        angle: float | None = None,
-        **options: Unpack[PathMoveOptions],
+        self, via: Pose | ArrayLike, target: TargetLike, *, angle: float | None = None, **options: Unpack[PathMoveOptions]
     ) -> MoveResult:
         """Moves the tip on an arc through one point to another.
 
@@ -222,11 +217,7 @@ class Commands:
         return self._move_along(goal, planner, ends_at_target=angle is None, **options)
 
     def move_path(
-        self,
-        path: Sequence[Line | Arc | Pose | ArrayLike],
-        *,
-        blend: float = 0.0,
-        **options: Unpack[PathMoveOptions],
+        self, path: Sequence[Line | Arc | Pose | ArrayLike], *, blend: float = 0.0, **options: Unpack[PathMoveOptions]
     ) -> MoveResult:
         """Moves the tip along lines and arcs with rounded corners.
 

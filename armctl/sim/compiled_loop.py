@@ -1,15 +1,12 @@
 """CompiledLoop: runs ticks of a simulation without Python, for a controller that has a compiled law."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.control import CompiledController, State
-from armctl.control.interface import WRENCH_SIZE
+from armctl.control.interface import WRENCH_SIZE, CompiledController, State
 from armctl.core.validation import Array
 from armctl.robot.actuation import Actuation
 from armctl.sim.disturbances import Disturbances, tick_times
@@ -25,12 +22,7 @@ class CompiledLoop:
     """The compiled loop of one simulation."""
 
     def __init__(
-        self,
-        actuation: Actuation,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        substeps: int,
-        pushed_arm: _core.ArmModel,
+        self, actuation: Actuation, model: mujoco.MjModel, data: mujoco.MjData, substeps: int, pushed_arm: _core.ArmModel
     ):
         """A tick has so many `substeps` of MuJoCo; pushes act on the tip of `pushed_arm`."""
         self._data = data

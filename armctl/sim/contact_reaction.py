@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armctl.control import Controller, State, controller_name
 from armctl.control.external_force import ExternalForce
 from armctl.control.hand_guiding import HandGuiding
+from armctl.control.interface import Controller, State, controller_name
 from armctl.core.errors import InputError, PlanError
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, choice, instance, number
@@ -65,7 +65,13 @@ class ContactReaction:
         return f"contact at {self.time:.3f} s: {self.contact}" if self.contact else ""
 
     def update(self, t: float, q: Array, v: Array, torque: Array, dt: float) -> None:
-        """Takes the measurements of a tick, as `ExternalForce.update`; the first alarm is what was felt."""
+        """Takes the measurements of a tick, as `ExternalForce.update`; the first alarm is what was felt.
+
+        Args:
+            t: s, what `time` becomes if a contact is felt.
+            torque: (n,) N m, of the motors.
+            dt: s since the last measurements.
+        """
         self.force.update(q, v, torque, dt)
         if not self.contact and (alarm := self.force.alarm):
             self.contact = alarm

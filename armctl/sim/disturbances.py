@@ -1,7 +1,5 @@
 """Disturbances: how a plant disturbs signals during a run: measurement noise, command delay, pushes."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from typing import Any, NamedTuple

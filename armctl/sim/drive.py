@@ -1,12 +1,10 @@
 """Drive: what moves an arm along references: a simulated plant, or the link to a robot."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import mujoco
 
-from armctl.control import Controller, State
+from armctl.control.interface import Controller, State
 from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array
@@ -24,11 +22,6 @@ class Drive(Protocol):
     data: mujoco.MjData  # the scene now; for a robot, a mirror of what it measures
     dt: float
     failure: str  # why the last run ended early, in words; empty if it did not
-
-    @property
-    def n(self) -> int:
-        """The number of driven joints."""
-        ...
 
     @property
     def q_ref(self) -> Array:
@@ -75,13 +68,7 @@ class Drive(Protocol):
         """A reference that stays where the last one ended, for at least one tick."""
         ...
 
-    def run(
-        self,
-        controller: Controller,
-        reference: TickReference,
-        recorder: Recorder,
-        to_rest: Pieces | None = None,
-    ) -> None:
+    def run(self, controller: Controller, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None) -> None:
         """Runs along a reference; `failure` says why if the run ends early.
 
         A robot uses its own controller, and follows `to_rest`, the motion from the first row on up to rest, where nothing else

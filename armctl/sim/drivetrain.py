@@ -6,8 +6,6 @@ M. W. Spong, "Modeling and control of elastic joint robots" (1987). The lag of a
 friction that of a `dcmotor` without an input.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """ControlledArms: plan, run, settle and report. The one implementation of a move, for one arm and for several."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,7 +9,8 @@ import numpy as np
 
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.clearance import clearance_of
-from armctl.control import Controller, State, controller_by_name, controller_name
+from armctl.control import controller_by_name
+from armctl.control.interface import Controller, State, controller_name
 from armctl.core import hooks
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
@@ -186,10 +185,7 @@ class ControlledArms:
 
     @contextmanager
     def recording(
-        self,
-        durations: Mapping[str, float],
-        targets: Mapping[str, Array] | None = None,
-        controller: Controller | None = None,
+        self, durations: Mapping[str, float], targets: Mapping[str, Array] | None = None, controller: Controller | None = None
     ) -> Iterator[Recorder]:
         """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
 
@@ -259,7 +255,7 @@ class ControlledArms:
         drive = self.drive
         if len(self.arms) == 1 and trajectories:
             return drive.reference(next(iter(trajectories.values())), ticks)
-        rows = TickReference(*(np.zeros((ticks, drive.n)) for _ in TickReference._fields))
+        rows = TickReference(*(np.zeros((ticks, drive.actuation.n)) for _ in TickReference._fields))
         rows.q[:] = drive.q_ref
         for tip, trajectory in trajectories.items():
             for row, column in zip(rows, drive.reference(trajectory, ticks), strict=True):

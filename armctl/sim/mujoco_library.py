@@ -1,7 +1,5 @@
 """MuJoCo's C library: what the compiled core calls of it."""
 
-from __future__ import annotations
-
 import ctypes
 from contextlib import suppress
 from functools import cache

@@ -3,8 +3,6 @@
 Import this only in a function that needs it, because the lists take long to load.
 """
 
-from __future__ import annotations
-
 import ctypes
 from functools import cache
 from typing import Any, NamedTuple

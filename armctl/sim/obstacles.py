@@ -1,7 +1,5 @@
 """What an arm could touch in a simulation, where everything is at this moment."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterable
 from typing import NamedTuple

@@ -29,14 +29,7 @@ ENCODER_NOISE_RAD = 1e-5
 # Armature of a braked joint: forces of the arm then move it by less than the rounding error.
 _BRAKE_INERTIA = 1e8  # kg m^2 (kg for a slide joint)
 DIVERGED_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
-_BRAKED_ARRAYS = (
-    "dof_armature",
-    "dof_frictionloss",
-    "jnt_limited",
-    "tendon_limited",
-    "tendon_frictionloss",
-    "eq_active0",
-)
+_BRAKED_ARRAYS = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
 # What `apply_plant` changes, besides what MuJoCo derives from it.
 # The places of bodies are those of the arm, whose geometry may be calibrated, and not of the file that it was loaded from.
 _PLANT_ARRAYS = (
@@ -188,13 +181,7 @@ class Plant:
         Kind.WORD, "differenced", words=("differenced", "true"), phrase="{} velocity", disturbs_signals=True
     )
     encoder_noise: float = plant_attribute(
-        Kind.NUMBER,
-        0.0,
-        unit="rad",
-        low=0.0,
-        phrase="encoder noise {} rad",
-        disturbs_signals=True,
-        varies_in_episodes=True,
+        Kind.NUMBER, 0.0, unit="rad", low=0.0, phrase="encoder noise {} rad", disturbs_signals=True, varies_in_episodes=True
     )
     velocity_noise: float | None = plant_attribute(
         Kind.NUMBER, None, unit="rad/s", low=0.0, phrase="velocity noise {} rad/s", disturbs_signals=True
@@ -414,8 +401,7 @@ def _pushes(value: Push | Iterable[Push]) -> tuple[Push, ...]:
         return (value,)
     pushes = tuple(value) if isinstance(value, Iterable) else (value,)
     for push in pushes:
-        if not isinstance(push, Push):
-            raise InputError(f"pushes: expected Push, got {shown(push)}; armctl.Push(0.5, 0.1, force=[0, 20, 0]) is one")
+        instance("pushes", push, Push, "armctl.Push(0.5, 0.1, force=[0, 20, 0]) is one")
     return pushes
 
 

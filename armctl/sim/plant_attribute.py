@@ -1,7 +1,5 @@
 """PlantAttribute: what one attribute of a Plant may be, and how a text names it. `Plant` is the table of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

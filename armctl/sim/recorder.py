@@ -1,7 +1,5 @@
 """Recorder: the ticks of a run as named columns that are allocated before the run, and the Log made from them."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -85,20 +83,17 @@ class Recorder:
         self._actuation = actuation
         self._tips = tips
         self._parts: list[TickRows] = []
+        self.has_begun = False  # whether a run was begun, even if no tick of it is complete
 
     @property
     def size(self) -> int:
         """The number of complete rows."""
         return sum(part.count for part in self._parts)
 
-    @property
-    def has_begun(self) -> bool:
-        """Whether a run was begun, even if no tick of it is complete."""
-        return bool(self._parts)
-
     def begin(self, reference: TickReference) -> TickRows:
         rows = TickRows(reference, self._model.nq, self._actuation.n)
         self._parts.append(rows)
+        self.has_begun = True
         return rows
 
     def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = _FIRST_WRENCH) -> Log:

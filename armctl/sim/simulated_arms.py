@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import Controller, State, controller_name
+from armctl.control.interface import Controller, State, controller_name
 from armctl.core.errors import ArmctlWarning
 from armctl.core.log import Log
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory

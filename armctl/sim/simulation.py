@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import ComputedTorque, Controller, State
+from armctl.control.computed_torque import ComputedTorque
+from armctl.control.interface import Controller, State
 from armctl.core import hooks
 from armctl.core.errors import LimitError
 from armctl.core.log import Log

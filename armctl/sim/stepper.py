@@ -1,7 +1,5 @@
 """Stepper: the simulated plant, and the tick loop of all runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
 from threading import Lock
@@ -14,8 +12,7 @@ from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control import CompiledController, Controller, State, controller_name
-from armctl.control.interface import has_compiled_law
+from armctl.control.interface import CompiledController, Controller, State, controller_name, has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
@@ -231,13 +228,7 @@ class Stepper:
         still = np.zeros((max(1, round(seconds / self.dt)), self.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
-    def run(
-        self,
-        controller: Controller,
-        reference: TickReference,
-        recorder: Recorder,
-        to_rest: Pieces | None = None,
-    ) -> None:
+    def run(self, controller: Controller, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None) -> None:
         """Runs the tick loop along a reference, whose arrays become read-only: measure, control, step, record.
 
         The run ends early, and `failure` says why, if the arm diverges or the controller returns a torque that is not finite.

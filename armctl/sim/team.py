@@ -8,7 +8,8 @@ from typing import TypeVar
 import numpy as np
 
 from armctl.collision.checkers import collision_checker, read_pairs
-from armctl.control import ComputedTorque, Controller
+from armctl.control.computed_torque import ComputedTorque
+from armctl.control.interface import Controller
 from armctl.core.errors import InputError, ModelError, PlanError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
@@ -41,10 +42,7 @@ class Team:
     """
 
     def __init__(
-        self,
-        arms: Sequence[Arm],
-        controllers: Mapping[str, Controller | str] | None = None,
-        plant: Plant | None = None,
+        self, arms: Sequence[Arm], controllers: Mapping[str, Controller | str] | None = None, plant: Plant | None = None
     ):
         """A simulation with all arms at home, at rest.
 

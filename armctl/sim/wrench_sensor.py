@@ -1,7 +1,5 @@
 """WrenchSensor: the wrench of the environment on the tips, true or as a plant's sensors measure it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import nan
 from typing import Any, NamedTuple

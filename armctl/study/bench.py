@@ -1,7 +1,5 @@
 """Bench: everything that the runs of a study share, and a run. Workers make it from plain data and keep it."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import json
@@ -20,7 +18,8 @@ import pinocchio
 
 from armctl.analysis.comparison import out_and_back
 from armctl.analysis.report import Report
-from armctl.control import CONTROLLERS, Controller
+from armctl.control import CONTROLLERS
+from armctl.control.interface import Controller
 from armctl.core.errors import ArmctlError, ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.validation import Array, number

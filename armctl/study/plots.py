@@ -86,11 +86,7 @@ def tornado(
 
 
 def success(
-    columns: Columns,
-    succeeded: BoolArray,
-    factors: tuple[str, str],
-    labels: Sequence[str],
-    path: str | os.PathLike[str] | None,
+    columns: Columns, succeeded: BoolArray, factors: tuple[str, str], labels: Sequence[str], path: str | os.PathLike[str] | None
 ) -> Path | None:
     """Draws the share of successes on a grid of two factors, one panel per controller."""
     x, y = factors

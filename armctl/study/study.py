@@ -18,17 +18,8 @@ from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlError, ArmctlWarning, InputError
 from armctl.core.progress import progress_bar
 from armctl.core.validation import flag, instance, shown
-from armctl.sim.simulate_many import processors
-from armctl.study.bench import (
-    CONTROLLER_FACTOR,
-    FIGURES,
-    Outcome,
-    Run,
-    failed_outcome,
-    make_controller,
-    run_chunk,
-    versions,
-)
+from armctl.sim.simulate import processors
+from armctl.study.bench import CONTROLLER_FACTOR, FIGURES, Outcome, Run, failed_outcome, make_controller, run_chunk, versions
 from armctl.study.factors import examples
 from armctl.study.plan import StudyPlan
 from armctl.study.result import StudyResult, study_result

@@ -1,7 +1,5 @@
 """StudySummary: the controllers of a study side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

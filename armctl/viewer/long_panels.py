@@ -9,7 +9,7 @@ from armctl.analysis.plot import overlay_image
 from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
-from armctl.ik.reachability import Reachability, reachability
+from armctl.ik.reachability import reachability
 from armctl.robot.arm import Arm
 from armctl.sim.plant import Plant
 from armctl.sim.realtime.session import RealTimeSession
@@ -107,12 +107,10 @@ class ReachabilityPanel:
                 raise
             if self._worker.is_closed:
                 return
-            self._points = self._add_points(found)
+            points, colours = found.cloud()
+            size = _POINT_SIZE_SPACINGS * found.spacing
+            name = f"{self._root}/reachable"
+            self._points = self._scene.add_point_cloud(name, points, colours, point_size=size, point_shape="circle")
             self._text.content = f"{found}. {_LEGEND}" if len(found.orientations) else f"{found}."
         if self._points is not None:
             self._points.visible = self._switch.value
-
-    def _add_points(self, found: Reachability) -> viser.PointCloudHandle:
-        points, colours = found.cloud()
-        size = _POINT_SIZE_SPACINGS * found.spacing
-        return self._scene.add_point_cloud(f"{self._root}/reachable", points, colours, point_size=size, point_shape="circle")

@@ -1,7 +1,5 @@
 """Mesh decimation: a model with few enough triangles that a page loads and draws it fast."""
 
-from __future__ import annotations
-
 import copy
 
 import mujoco

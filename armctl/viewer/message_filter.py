@@ -5,8 +5,6 @@ decodes every message into one of the types below, checks types, lengths, finite
 Everything else is dropped. msgspec decodes and encodes; viser uses it too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Annotated, TypeGuard

@@ -1,7 +1,5 @@
 """A real-time session in MuJoCo's own viewer, on a machine with a screen. Ctrl and right-drag move the target."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

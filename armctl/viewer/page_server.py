@@ -6,8 +6,6 @@ starts. The page has one port. A proxy would need a second one: viser listens at
 token, so that any page in a browser of this machine could reach it there.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gzip

@@ -1,7 +1,5 @@
 """The sentences that describe a session's status on the page and in the native window."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Viewer: shows a simulation in the browser while it runs, at the speed of the wall clock."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import time

@@ -16,8 +16,8 @@ from synthetic import BENT, mjcf, serial_arm
 
 import armctl
 from armctl import _core
-from armctl.control import CONTROLLERS, CompiledController, controller_by_name, controller_name
-from armctl.control.interface import has_compiled_law
+from armctl.control import CONTROLLERS, controller_by_name
+from armctl.control.interface import CompiledController, controller_name, has_compiled_law
 from armctl.sim import compiled_loop
 
 PLANTS = {

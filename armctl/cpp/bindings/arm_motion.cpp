@@ -1,5 +1,4 @@
 // An arm at many states of a motion, and along a path of its tip.
-#include <nanobind/nanobind.h>
 #include <nanobind/stl/shared_ptr.h>
 
 #include "arrays.hpp"

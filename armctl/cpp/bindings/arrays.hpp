@@ -9,10 +9,7 @@
 #include <nanobind/nanobind.h>
 
 #include <algorithm>
-#include <cstdint>
 #include <initializer_list>
-#include <string>
-#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -35,8 +32,7 @@ public:
     }
     ~Array() { PyBuffer_Release(&view_); }
 
-    // Takes the memory of an object. What is wrong with it is reported by `vector` and `matrix`, which know the argument's
-    // name.
+    // Takes the memory of an object. What is wrong with it is reported by `vector` and `matrix`, which know the argument's name.
     void acquire(PyObject* object) noexcept {
         const int access = std::is_const_v<Number> ? PyBUF_SIMPLE : PyBUF_WRITABLE;
         if (PyObject_GetBuffer(object, &view_, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | access) != 0) {

@@ -1,7 +1,6 @@
 // What an arm could touch, distances where it is, and proofs for whole motions.
 //
 // Queries run without the GIL.
-#include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 

@@ -1,7 +1,6 @@
 // The arm's model, its dynamics, and small linear algebra.
 #include "dynamics.hpp"
 
-#include <nanobind/nanobind.h>
 #include <nanobind/stl/shared_ptr.h>
 
 #include "arguments.hpp"

@@ -1,5 +1,4 @@
 // The steps of environments.
-#include <nanobind/nanobind.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 

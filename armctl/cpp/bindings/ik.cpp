@@ -1,7 +1,6 @@
 // Inverse kinematics: the chain of an arm, searches on it, and its closed form.
 //
 // Calls have their own scratch memory and run without the GIL.
-#include <nanobind/nanobind.h>
 #include <nanobind/stl/shared_ptr.h>
 
 #include "arguments.hpp"

@@ -1,5 +1,4 @@
 // The extension armctl._core: one call for each topic.
-#include <nanobind/nanobind.h>
 
 #include <exception>
 

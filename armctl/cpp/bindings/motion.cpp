@@ -1,5 +1,4 @@
 // Timing of motions.
-#include <nanobind/nanobind.h>
 
 #include "arguments.hpp"
 #include "path_timing.hpp"

@@ -1,5 +1,4 @@
 // Collision-free paths in joint space.
-#include <nanobind/nanobind.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 

@@ -1,7 +1,6 @@
 // MuJoCo's functions, the tick loop of simulations, and what it is made of.
 #include "../tick_loop.hpp"
 
-#include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>

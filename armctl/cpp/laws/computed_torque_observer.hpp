@@ -5,8 +5,7 @@
 
 namespace armctl {
 
-// tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v)) - d at estimated q and v, with the estimated disturbance
-// d.
+// tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v)) - d at estimated q and v, with the estimated disturbance d.
 //
 // The commanded acceleration predicts position and velocity, and the measured position corrects both. The model is that of the
 // control period dt, and of continuous motion or of steps of MuJoCo.

@@ -1,7 +1,5 @@
 // Hybrid force/motion control: forces along some axes of the tip, motion along the others.
 #pragma once
-#include <string>
-
 #include "../errors.hpp"
 #include "force_axis.hpp"
 #include "task_space.hpp"

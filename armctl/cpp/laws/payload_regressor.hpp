@@ -5,8 +5,6 @@
 //
 // Source: Atkeson, An, Hollerbach, "Estimation of inertial parameters of manipulator loads and links" (1986).
 #pragma once
-#include <array>
-
 #include "../dynamics.hpp"
 
 namespace armctl {

@@ -3,8 +3,6 @@
 // Source: Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation"
 // (1987).
 #pragma once
-#include <array>
-
 #include "../dynamics.hpp"
 #include "../law.hpp"
 

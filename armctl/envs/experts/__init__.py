@@ -1,7 +1,5 @@
 """Experts: scripted policies that solve the tasks with armctl's inverse kinematics, motions and planner."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +20,6 @@ EXPERTS: dict[str, type[Expert]] = {
     "Push": PushExpert,
     "PickPlace": PickPlaceExpert,
 }
-
-__all__ = ["EXPERTS", "Expert", "ExpertPolicy"]
 
 
 class ExpertPolicy:

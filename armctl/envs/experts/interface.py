@@ -1,7 +1,5 @@
 """Expert: a scripted policy that solves a task through the actions of an environment."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 

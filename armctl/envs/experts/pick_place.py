@@ -1,7 +1,5 @@
 """PickPlaceExpert: grasps the object and carries it to the goal."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.core.validation import Array

@@ -1,7 +1,5 @@
 """Experts that plan a motion to the goal, and follow it."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from contextlib import suppress

@@ -1,6 +1,6 @@
 """PushExpert: puts the tool behind the object, and pushes it to the goal."""
 
-from __future__ import annotations
+from collections.abc import Callable
 
 import numpy as np
 
@@ -53,23 +53,20 @@ class PushExpert(CartesianExpert):
         direction = way / max(float(np.linalg.norm(way)), 1e-9)
         return self.above_table(self.object[:2] - distance * direction, height)
 
-    def _above(self) -> Array:
-        place = self._behind(self.table.lift, self._distance)
+    def _go_before(self, phase: Callable[[], Array], place: Array) -> Array:
+        """Moves to a place (3,) m; a phase begins when it is reached."""
         if self.is_at(place, _CLOSE):
-            self._phase = self._down
+            self._phase = phase
         return self.go(place)
+
+    def _above(self) -> Array:
+        return self._go_before(self._down, self._behind(self.table.lift, self._distance))
 
     def _down(self) -> Array:
-        place = self._behind(self.table.low, self._distance)
-        if self.is_at(place, _CLOSE):
-            self._phase = self._push
-        return self.go(place)
+        return self._go_before(self._push, self._behind(self.table.low, self._distance))
 
     def _up(self) -> Array:
-        place = self.above_table(self.position, self.table.lift)
-        if self.is_at(place, _CLOSE):
-            self._phase = self._above
-        return self.go(place)
+        return self._go_before(self._above, self.above_table(self.position, self.table.lift))
 
     def _rest(self) -> Array:
         if np.linalg.norm(self.goal - self.object) > _AGAIN:
@@ -77,18 +74,13 @@ class PushExpert(CartesianExpert):
         return self.go(self._retreat)
 
     def _back_off(self) -> Array:
-        if self.is_at(self._retreat, _CLOSE):
-            self._phase = self._line_up
-        return self.go(self._retreat)
+        return self._go_before(self._line_up, self._retreat)
 
     def _line_up(self) -> Array:
         along, beside = self._offsets()
         if along > 0.0 or np.linalg.norm(beside) > _MAX_LINE_UP_OFFSET * self._distance:
             self._phase = self._up
-        place = self._behind(self.table.low, self._distance)
-        if self.is_at(place, _CLOSE):
-            self._phase = self._push
-        return self.go(place)
+        return self._go_before(self._push, self._behind(self.table.low, self._distance))
 
     def _push(self) -> Array:
         way = (self.goal - self.object)[:2]

@@ -1,7 +1,5 @@
 """Task: the base of all tasks. A task has goals, draws episodes, and defines the point that is compared with the goal."""
 
-from __future__ import annotations
-
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """PickPlace: lift an object to a goal with a gripper."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.core.errors import InputError, ModelError

@@ -1,7 +1,5 @@
 """Push: push an object on a table to a goal on the table."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Reach: move the tip to a point."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.envs.actions import target_limits

@@ -1,7 +1,5 @@
 """ReachPast: move the tip to a point with an obstacle on the straight path."""
 
-from __future__ import annotations
-
 import copy
 
 import mujoco

@@ -1,7 +1,5 @@
 """Table: a place in front of an arm over which its tool points down, or is tilted by a constant angle."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import islice, product
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Tool: what is at the end of an arm, as it works on a table."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from typing import NamedTuple

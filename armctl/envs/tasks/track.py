@@ -1,7 +1,5 @@
 """Track: follow a point that moves on a smooth path."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

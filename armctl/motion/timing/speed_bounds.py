@@ -1,7 +1,5 @@
 """The bounds on the speed along a path that can become active, as the compiled solver takes them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ The compiled search finds them. Ruckig then times each section. If a joint leave
 bounds on its velocity and acceleration at both are lowered, and the search is repeated.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,13 +12,7 @@ import numpy as np
 from armctl import _core
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion.timing.otg import (
-    JointState,
-    ProfileSolver,
-    phase_nodes,
-    phase_polynomials,
-    solve_pieces,
-)
+from armctl.motion.timing.otg import JointState, ProfileSolver, phase_nodes, phase_polynomials, solve_pieces
 from armctl.motion.trajectory.limit_check import polynomial_extremes
 from armctl.motion.trajectory.piecewise import Pieces, joined
 

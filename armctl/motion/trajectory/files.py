@@ -1,7 +1,5 @@
 """Trajectories in files: exact arrays as npz, samples as CSV, and a plot. All files are replaced atomically."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Mapping, Sequence
@@ -118,11 +116,7 @@ class Curves(NamedTuple):
 
 
 def plot(
-    curves: Curves,
-    joint_names: Sequence[str],
-    joint_units: Sequence[str],
-    limits: Limits,
-    path: str | os.PathLike[str] | None,
+    curves: Curves, joint_names: Sequence[str], joint_units: Sequence[str], limits: Limits, path: str | os.PathLike[str] | None
 ) -> object:
     """Matplotlib's figure of position, velocity, acceleration and jerk of every joint, saved if there is a path."""
     from matplotlib.figure import Figure

@@ -5,8 +5,6 @@ jerk is bounded. Later and longer changes are tried until one keeps the limits; 
 the stop.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Piecewise polynomials of degree five in time, the representation of every motion: evaluation, interpolation, joining."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Motions as ROS messages of type trajectory_msgs/JointTrajectory, in JSON and YAML files."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Jaws: the two sides of a gripper and the distance between them, whatever describes their shape."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, product

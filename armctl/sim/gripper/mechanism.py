@@ -1,7 +1,5 @@
 """Mechanism: a gripper whose joints follow its actuators at fixed ratios, so that it can be placed without a simulation."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """GripperModel: the gripper behind an arm's tip, found in the MuJoCo model: actuators, pads, and the control for each width."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, replace
 from itertools import product

@@ -1,7 +1,5 @@
 """RealTimeClock: keeps simulated time in step with wall-clock time."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from typing import NamedTuple

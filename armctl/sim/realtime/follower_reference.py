@@ -1,7 +1,5 @@
 """FollowerReference: where an arm should be that follows a target: on its way to a joint goal, or on a planned path."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """RealTimeSession: an arm that follows a target in real time, in its own thread, under commands of other threads."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time
@@ -12,7 +10,8 @@ import mujoco
 import numpy as np
 
 from armctl.collision.checkers import collision_checker
-from armctl.control import Controller, controller_by_name
+from armctl.control import controller_by_name
+from armctl.control.interface import Controller
 from armctl.core.errors import ModelError, UnknownNameError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose

@@ -1,7 +1,5 @@
 """Status: what a real-time session does at one instant."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 
