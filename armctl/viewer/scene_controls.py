@@ -65,7 +65,7 @@ class ArmControls:
             self._label.text = text
         self._trail.draw()
         self._preview.show(status.path, with_ghost=status.activity is not Activity.AT_TARGET)
-        self.panel.update(notice)
+        self.panel.update(status, notice)
 
     def close(self) -> None:
         self.panel.close()

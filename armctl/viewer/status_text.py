@@ -36,7 +36,8 @@ def describe(status: Status) -> str:
         case Activity.FOLLOWING:
             reach = f"; {_out_of_reach(status)}" if status.reach_error is not None else ""
             how = "following" if status.path is None else "on the planned path"
-            return f"{how}, {error_mm:.0f} mm to go{reach}"
+            to_go = f", {error_mm:.0f} mm to go" if error_mm >= 1.0 else ""
+            return f"{how}{to_go}{reach}"
 
 
 def readings(samples: Samples, joint_names: Sequence[str], real_time_factor: float) -> str:
@@ -61,7 +62,11 @@ def describe_contacts(status: Status) -> str:
     return f"{len(forces)} contact{'s' if len(forces) > 1 else ''}, largest force {forces.max():.3g} N"
 
 
+def is_only_orientation_out_of_reach(status: Status) -> bool:
+    return status.reach_error is not None and status.reach_error < TOLERANCE
+
+
 def _out_of_reach(status: Status) -> str:
-    if status.reach_error is None or status.reach_error < TOLERANCE:
+    if status.reach_error is None or is_only_orientation_out_of_reach(status):
         return "this orientation is out of reach here"
     return f"out of reach by {length_text(status.reach_error)}"
