@@ -92,7 +92,7 @@ def _error_legend(samples: Samples) -> str:
 
 def _torque_legend(samples: Samples, joint_names: tuple[str, ...]) -> str:
     shares = np.nan_to_num(100 * samples.torque_share[-1])
-    return _legend([(_BOUND_COLOR, name, f"{shares[i]:.0f} %") for i, name in enumerate(joint_names)])
+    return _legend([(_BOUND_COLOR, name, f"{round(shares[i])} %") for i, name in enumerate(joint_names)])
 
 
 def _millimeters(value: float) -> str:

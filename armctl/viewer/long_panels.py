@@ -70,11 +70,11 @@ class ComparisonPanel:
 
 
 def _table(reports: list[Report]) -> str:
-    rows = [
-        f"| {r.controller} | {length_text(r.tip_rms_m)} | {length_text(r.final_tip_error_m)} | {r.peak_torque_ratio:.0%} |"
-        for r in reports
-    ]
-    return "\n".join(["| | tip RMS | at the end | peak torque |", "| - | - | - | - |", *rows])
+    rows = ["| | tip RMS | at the end | peak torque |", "| - | - | - | - |"]
+    for r in reports:
+        cells = r.controller, length_text(r.tip_rms_m), length_text(r.final_tip_error_m), f"{100 * r.peak_torque_ratio:.0f} %"
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows)
 
 
 class ReachabilityPanel:

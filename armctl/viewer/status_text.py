@@ -46,12 +46,12 @@ def readings(samples: Samples, joint_names: Sequence[str], real_time_factor: flo
     busiest = int(np.argmax(shares))
     error_mm = max(1e3 * samples.to_reference[-1], _MIN_SHOWN_MM)
     cells = (
-        (f"{error_mm:.2g} mm", "from the reference"),
-        (f"{100 * shares[busiest]:.0f} %", f"of the torque of {html.escape(joint_names[busiest])}"),
+        (f"{error_mm:.2g} mm", "from reference"),
+        (f"{100 * shares[busiest]:.0f} %", f"torque of {html.escape(joint_names[busiest])}"),
         (f"{real_time_factor:.2f}", "times real time"),
     )
     columns = "".join(f'<div style="flex: 1"><b style="font-size: 1.3em">{value}</b><br>{what}</div>' for value, what in cells)
-    return f'<div style="display: flex; gap: 0.8em; padding: 0 0.8em; font-size: 0.85em; line-height: 1.4">{columns}</div>'
+    return f'<div style="display: flex; gap: 0.8em; margin: 0 0.8em 0.6em; font-size: 0.85em; line-height: 1.4">{columns}</div>'
 
 
 def describe_contacts(status: Status) -> str:

@@ -163,7 +163,8 @@ def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, 
 
 def test_an_orientation_out_of_reach_comes_with_a_remedy(page, client):
     client.set(page, "orientation counts", True)
-    client.set(page, "roll, pitch, yaw, rad", [2.5, 0.3, 0.0])
+    client.set(page, "position, m", [0.3, 0.0, 0.4])
+    client.set(page, "roll, pitch, yaw, rad", [0.0, 0.0, 1.5])
     until(lambda: "this orientation is out of reach here" in page.scene.text.content, "the orientation is not refused")
     assert "switch off* orientation counts *under* Target" in page.scene.text.content
     follows(page, client)
