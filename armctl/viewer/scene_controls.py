@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import viser
 
 
-_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
+_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.18])  # above the handle of the z axis
 
 
 class ArmControls:

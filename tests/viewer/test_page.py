@@ -177,7 +177,7 @@ def test_dragging_the_target_with_the_mouse_brings_the_tip_there(page: Page, tab
     arrives(page)
     before = page.session.status.target.position.copy()
     axis = np.array([0.0, 0.0, 1.0])
-    handle, farther = (on_screen(page, tab, before + reach * axis) for reach in (0.11, -0.02))
+    handle, farther = (on_screen(page, tab, before + reach * axis) for reach in (0.11, 0.21))
     tab.mouse.move(*handle)
     time.sleep(0.5)
     tab.mouse.down()
