@@ -14,12 +14,21 @@ from armctl.core.uninterrupted import uninterrupted_import
 
 __version__ = "0.1.0"
 
+# Names that other libraries use.
+_OTHER_NAMES = {
+    "inverse_kinematics": "solve_ik",
+    "plan": "move_free",
+    "plan_path": "move_free",
+    "PID": "ComputedTorqueObserver",
+    "Sim": "Simulation",
+}
+
 _public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
-        near = ", ".join(
+        near = _OTHER_NAMES.get(name) or ", ".join(
             difflib.get_close_matches(name, __all__, n=2, cutoff=0.5) or [k for k in __all__ if name.lower() in k.lower()]
         )
         raise AttributeError(

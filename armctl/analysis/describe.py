@@ -15,10 +15,11 @@ from armctl.robot.arm import Arm
 
 
 def facts(arm: Arm) -> dict[str, Any]:
-    """An arm as plain data for JSON; an infinite limit becomes None."""
+    """An arm as plain data for JSON; what is infinite becomes None."""
     limits = {
         f.name: [x if math.isfinite(x) else None for x in getattr(arm.limits, f.name).tolist()] for f in fields(arm.limits)
     }
+    payload = static_payload(static_payloads(arm))
     return {
         "name": arm.name,
         "joint_names": list(arm.joint_names),
@@ -31,7 +32,7 @@ def facts(arm: Arm) -> dict[str, Any]:
         "mass_kg": float(sum(inertia.mass for inertia in arm.pinocchio_model.pin_model.inertias)),
         "timestep_s": arm.dt,
         "notes": list(arm.notes),
-        "static_payload_kg": static_payload(static_payloads(arm)),
+        "static_payload_kg": payload if math.isfinite(payload) else None,
         "unknown_payload_kg": max_unknown_payload(arm),
         "margin_exceptions": list(margin_exceptions(arm)),
     }
@@ -54,11 +55,15 @@ def describe(arm: Arm) -> str:
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     lines += [f"note: {note}" for note in arm.notes]
     payload = data["static_payload_kg"]
-    doubt = doubt_about_torque_limits(arm, payload)
-    lines.append(doubt or f"static payload at the tip, in 95 % of configurations: {max(payload, 0.0):.3g} kg")
+    if payload is None:
+        lines.append("static payload at the tip: any, because a weight there loads no joint")
+    else:
+        doubt = doubt_about_torque_limits(arm, payload)
+        lines.append(doubt or f"static payload at the tip, in 95 % of configurations: {max(payload, 0.0):.3g} kg")
+    unknown = data["unknown_payload_kg"]
     lines.append(
-        "default gains, computed-torque-observer and -learning: made for unknown payloads of up to "
-        f"{data['unknown_payload_kg']:.3g} kg within 5 cm of the tip, and stable with twice that"
+        "unknown payload within 5 cm of the tip, default gains of computed-torque-observer and -learning: up to "
+        f"{unknown:.3g} kg keeps the delay margin, up to {2 * unknown:.3g} kg is stable"
     )
     return "\n".join(lines + [f"default gains, {exception}" for exception in data["margin_exceptions"]])
 

@@ -130,7 +130,7 @@ def _check(logs: Sequence[Log]) -> None:
     if not logs:
         raise InputError("logs: expected at least one log, got none")
     for log in logs:
-        instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+        instance("log", log, Log, "armctl.simulate and every move of a Simulation that is not refused give one")
         if len(log) == 0:
             raise InputError("log: it is empty, so there is nothing to draw")
 

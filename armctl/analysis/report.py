@@ -101,7 +101,7 @@ class Report(Verdict):
         Raises:
             InputError: The log is empty or of an open-loop run, or a tolerance is negative or not finite.
         """
-        instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+        instance("log", log, Log, "armctl.simulate and every move of a Simulation that is not refused give one")
         tolerance = number("tolerance", tolerance, 0.0)
         angle_tolerance = number("angle_tolerance", angle_tolerance, 0.0)
         if len(log) == 0 or np.isnan(log.q_ref).any() or np.isnan(log.tip_ref).any():
@@ -237,7 +237,7 @@ def report_table(reports: Sequence[Report]) -> Table:
         columns["Ms"] = lambda r: _margin_text(r.peak_sensitivity)
         if any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports):
             columns["least damping"] = lambda r: _margin_text(r.damping_ratio)
-    columns["verdict"] = lambda r: r.verdict.split(":")[0]
+    columns["verdict"] = lambda r: r.verdict.split(":")[0] + (", with contact" if r.contacts else "")
     return Table(list(columns), [[cell(r) for cell in columns.values()] for r in reports])
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 MAX_MESSAGE_CHARACTERS = 400
 _MAX_LISTED_CHARACTERS = 240  # of known names; of a longer list the message gives the number
 _MAX_SHOWN_CHARACTERS = 80  # of a value in a message
+_OTHER_NAMES = {"pid": "computed-torque-observer", "osc": "operational-space"}  # what armctl calls the same thing
 
 
 def shown(value: object) -> str:
@@ -66,6 +67,7 @@ class UnknownNameError(ArmctlError, LookupError):
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6) or [
             k for k in known if name and name.lower() in k.lower()
         ]
+        near = [k for k in known if k == _OTHER_NAMES.get(name.lower())] or near
         if near:
             hint = f"did you mean {near[0]!r}?"
         elif len(listed := ", ".join(known)) <= _MAX_LISTED_CHARACTERS:

@@ -109,7 +109,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
         InputError: It is not an arm, not a log, or the log is of an arm with other joints.
     """
     check_arm(arm)
-    instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+    instance("log", log, Log, "armctl.simulate and every move of a Simulation that is not refused give one")
     if log.joint_names != arm.joint_names:
         recorded = ", ".join(log.joint_names)
         wanted = ", ".join(arm.joint_names)

@@ -44,7 +44,7 @@ class IkResult(Verdict):
 
     def __str__(self) -> str:
         if self.ok:
-            return f"solved within {1e3 * self.position_error:.2g} mm and {self.orientation_error:.2g} rad"
+            return f"solved within {length_text(self.position_error)} and {self.orientation_error:.2g} rad"
         return f"not solved: {self.reason}"
 
 

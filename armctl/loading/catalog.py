@@ -171,7 +171,7 @@ def _in_menagerie(given: str, tool: bool) -> Source:
     except (menagerie.MenagerieError, OSError) as error:
         raise ModelError(
             f"{given}: its model is not installed ({_one_line(error)}); with a network run `mujoco-menagerie prefetch {name}`, "
-            "or set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie"
+            f"or set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie; {BUNDLED!r} comes with armctl"
         ) from None
     if not path.is_file():
         raise ModelError(f"{given}: {shown_path(path)} does not exist; this copy of MuJoCo Menagerie is older than its index")

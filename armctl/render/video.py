@@ -127,7 +127,7 @@ def still(
     path = file_path("path", path, (".png",))
     size = check_size(size)
     choice("quality", quality, QUALITIES)
-    instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+    instance("log", log, Log, "armctl.simulate and every move of a Simulation that is not refused give one")
     _check([log], arm)
     from PIL import Image as Picture
 
@@ -170,7 +170,7 @@ def _check(logs: Sequence[Log], arm: Arm) -> None:
     if not isinstance(logs, Sequence) or not logs:
         raise InputError("log: expected a Log or a list of at least one Log")
     for log in logs:
-        instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+        instance("log", log, Log, "armctl.simulate and every move of a Simulation that is not refused give one")
         if len(log) == 0:
             raise InputError("log: it is empty, so there is nothing to film")
         if log.joint_names != arm.joint_names:

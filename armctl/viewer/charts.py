@@ -35,7 +35,7 @@ class Charts:
         self._error = server.gui.add_uplot(
             _errors(samples),
             (_TIME, _line("to the target", COLORS[2]), _line("to its reference", COLORS[0]), _bound("tolerance")),
-            title="tip error, mm",
+            title=f"tip error, mm (logarithmic), last {DURATION_S:g} s",
             scales={"x": _SPAN, "y": {"distr": 3, "range": (_MIN_SHOWN_MM, _MAX_SHOWN_MM)}},
             axes=({}, {"grid": {"show": False}, "ticks": {"show": False}}),
             legend=_LEGEND,
@@ -45,7 +45,7 @@ class Charts:
         self._torque = server.gui.add_uplot(
             _torques(samples),
             (_TIME, _line("largest", COLORS[1]), _bound("limit")),
-            title="largest torque, % of its motor's limit",
+            title=f"largest torque, % of its motor's limit, last {DURATION_S:g} s",
             scales={"x": _SPAN, "y": {"range": _TORQUE_RANGE_PERCENT}},
             legend=_LEGEND,
             height=_TORQUE_CHART_HEIGHT_PX,
@@ -92,7 +92,7 @@ def _error_legend(samples: Samples) -> str:
 
 def _torque_legend(samples: Samples, joint_names: tuple[str, ...]) -> str:
     shares = np.nan_to_num(100 * samples.torque_share[-1])
-    return _legend([(_BOUND_COLOR, name, f"{shares[i]:.0f} %") for i, name in enumerate(joint_names)])
+    return _legend([(_BOUND_COLOR, name, f"{round(shares[i])} %") for i, name in enumerate(joint_names)])
 
 
 def _millimeters(value: float) -> str:

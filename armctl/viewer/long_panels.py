@@ -9,7 +9,8 @@ from armctl.analysis.plot import overlay_image
 from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
-from armctl.ik.reachability import reachability
+from armctl.core.units import length_text
+from armctl.ik.reachability import Reachability, reachability
 from armctl.robot.arm import Arm
 from armctl.sim.plant import Plant
 from armctl.sim.realtime.session import RealTimeSession
@@ -32,7 +33,7 @@ class ComparisonPanel:
         with server.gui.add_folder("Comparison", expand_by_default=False) as self._folder:
             self._button = server.gui.add_button("compare the controllers")
             self._text = server.gui.add_markdown(
-                "All joints out and back at full speed, under every controller, with this payload."
+                "All joints out and back at full speed, under every controller at its default gains, with this payload."
             )
         self._picture: viser.GuiImageHandle | None = None
         self._button.on_click(self._clicked)
@@ -69,11 +70,11 @@ class ComparisonPanel:
 
 
 def _table(reports: list[Report]) -> str:
-    rows = [
-        f"| {r.controller} | {1e3 * r.tip_rms_m:.3g} | {1e3 * r.final_tip_error_m:.3g} | {100 * r.peak_torque_ratio:.0f} |"
-        for r in reports
-    ]
-    return "\n".join(["| | tip RMS, mm | at the end, mm | peak torque, % |", "| - | - | - | - |", *rows])
+    rows = ["| | tip RMS | at the end | peak torque |", "| - | - | - | - |"]
+    for r in reports:
+        cells = r.controller, length_text(r.tip_rms_m), length_text(r.final_tip_error_m), f"{100 * r.peak_torque_ratio:.0f} %"
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows)
 
 
 class ReachabilityPanel:

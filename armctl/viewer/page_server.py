@@ -34,7 +34,8 @@ _OPEN_TIMEOUT_S = 10.0
 _MAX_REQUESTS = 256  # connections without a WebSocket: they load the page, or have not sent a request yet
 _TOO_MANY_CLIENTS = 1013  # WebSocket close code "try again later"
 _GZIP_LEVEL = 6
-# Text and buttons with the contrast of WCAG 2 AA, 4.5 to 1. On a phone the panel is as wide as the page and leaves room above.
+# Text and buttons with the contrast of WCAG 2 AA, 4.5 to 1, and the ends of a slider below its handle. On a phone the panel
+# is as wide as the page and leaves room above.
 _STYLE = """
 :root {
   --mantine-color-dimmed: #495057 !important;
@@ -42,7 +43,8 @@ _STYLE = """
   --mantine-primary-color-filled-hover: #134f87 !important;
   --mantine-color-custom-outline: #1864ab !important;
 }
-.mantine-Slider-markLabel { color: #495057 !important; }
+.mantine-Slider-markLabel { color: #495057 !important; margin-top: 0.25rem; }
+div, label, p, input { letter-spacing: normal !important; }
 @media (max-width: 600px) {
   .mantine-Paper-root:has(> div .mantine-ScrollArea-root) { width: 100% !important; max-height: 45% !important; }
   .mantine-ScrollArea-content > div { width: 100% !important; }

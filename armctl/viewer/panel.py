@@ -16,7 +16,7 @@ from armctl.viewer.charts import Charts
 from armctl.viewer.drawings import ContactArrows
 from armctl.viewer.long_panels import ComparisonPanel, ReachabilityPanel
 from armctl.viewer.picture_panel import PicturePanel
-from armctl.viewer.status_text import describe, describe_contacts, readings
+from armctl.viewer.status_text import describe, describe_contacts, is_only_orientation_out_of_reach, readings
 from armctl.viewer.target_controls import TargetControls, on_value
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MAX_PAYLOAD_KG = 5.0
 _HINT = "*Drag an arrow, a plane or an arc of the green target; the arm follows.*"
+_ORIENTATION_HINT = "*Turn the target by its arcs, or switch off* orientation counts *under* Target*.*"
 _HOME = "home"
 _PLAY = "play"
 _PAUSE = "pause"
@@ -68,11 +69,11 @@ class Panel:
         self.pictures = PicturePanel(server, session)
         self._comparison = ComparisonPanel(server, session)
 
-    def update(self, notice: str = "") -> None:
-        status = self._session.status
+    def update(self, status: Status, notice: str = "") -> None:
         samples = self._session.history.read()
         factor = status.real_time_factor * status.speed
-        lines = [notice, f"**{describe(status)}**", describe_contacts(status), _HINT]
+        hint = _ORIENTATION_HINT if is_only_orientation_out_of_reach(status) else _HINT
+        lines = [notice, f"**{describe(status)}**", describe_contacts(status), hint]
         self._text.content = "\n\n".join(line for line in lines if line)
         self._readings.content = readings(samples, self._session.arm.joint_names, factor)
         self._contact_arrows.show(status.contacts)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import viser
 
 
-_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
+_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.18])  # above the handle of the z axis
 
 
 class ArmControls:
@@ -65,7 +65,7 @@ class ArmControls:
             self._label.text = text
         self._trail.draw()
         self._preview.show(status.path, with_ghost=status.activity is not Activity.AT_TARGET)
-        self.panel.update(notice)
+        self.panel.update(status, notice)
 
     def close(self) -> None:
         self.panel.close()

@@ -34,7 +34,8 @@ def describe(status: Status) -> str:
         case Activity.FOLLOWING:
             reach = f"; {_out_of_reach(status)}" if status.reach_error is not None else ""
             how = "following" if status.path is None else "on the planned path"
-            return f"{how}, {error_mm:.0f} mm to go{reach}"
+            to_go = f", {error_mm:.0f} mm to go" if error_mm >= 1.0 else ""
+            return f"{how}{to_go}{reach}"
 
 
 def readings(samples: Samples, joint_names: Sequence[str], real_time_factor: float) -> str:
@@ -43,12 +44,12 @@ def readings(samples: Samples, joint_names: Sequence[str], real_time_factor: flo
     busiest = int(np.argmax(shares))
     error_mm = max(1e3 * samples.to_reference[-1], _MIN_SHOWN_MM)
     cells = (
-        (f"{error_mm:.2g} mm", "from the reference"),
-        (f"{100 * shares[busiest]:.0f} %", f"of the torque of {html.escape(joint_names[busiest])}"),
+        (f"{error_mm:.2g} mm", "from reference"),
+        (f"{100 * shares[busiest]:.0f} %", f"torque of {html.escape(joint_names[busiest])}"),
         (f"{real_time_factor:.2f}", "times real time"),
     )
     columns = "".join(f'<div style="flex: 1"><b style="font-size: 1.3em">{value}</b><br>{what}</div>' for value, what in cells)
-    return f'<div style="display: flex; gap: 0.8em; padding: 0 0.8em; font-size: 0.85em; line-height: 1.4">{columns}</div>'
+    return f'<div style="display: flex; gap: 0.8em; margin: 0 0.8em 0.6em; font-size: 0.85em; line-height: 1.4">{columns}</div>'
 
 
 def describe_contacts(status: Status) -> str:
@@ -59,7 +60,11 @@ def describe_contacts(status: Status) -> str:
     return f"{len(forces)} contact{'s' if len(forces) > 1 else ''}, largest force {forces.max():.3g} N"
 
 
+def is_only_orientation_out_of_reach(status: Status) -> bool:
+    return status.reach_error is not None and status.reach_error < TOLERANCE
+
+
 def _out_of_reach(status: Status) -> str:
-    if status.reach_error is None or status.reach_error < TOLERANCE:
+    if status.reach_error is None or is_only_orientation_out_of_reach(status):
         return "this orientation is out of reach here"
     return f"out of reach by {length_text(status.reach_error)}"

@@ -42,7 +42,7 @@ class TargetControls:
         self._drawn_target = session.status.target
         self._held_by: int | None = None
         self._undo: deque[Pose] = deque(maxlen=_MAX_UNDO)
-        self._has_world_axes = False
+        self._has_world_axes = True
         self._grip = session.status.target  # the target's pose where the handles were put last
         self._gizmo = server.scene.add_transform_controls(f"{root}/goal", scale=GIZMO_SIZE_M, depth_test=False)
         server.scene.add_icosphere(f"{root}/goal/ball", _BALL_RADIUS_M, _BALL_RGB, opacity=0.5, cast_shadow=False)
@@ -69,7 +69,7 @@ class TargetControls:
             self._rpy = gui.add_vector3("roll, pitch, yaw, rad", _rounded(status.target.rpy), step=0.001)
             oriented = gui.add_checkbox("orientation counts", status.oriented)
             undo = gui.add_button("undo", hint="the target where it was before it was moved last")
-            axes = gui.add_dropdown("axes", (_TOOL_AXES, _WORLD_AXES), initial_value=_TOOL_AXES, hint="of handles and jog")
+            axes = gui.add_dropdown("axes", (_WORLD_AXES, _TOOL_AXES), initial_value=_WORLD_AXES, hint="of handles and jog")
         with gui.add_folder("Jog", expand_by_default=False):
             step_mm = gui.add_slider("step, mm", 1.0, _MAX_STEP_MM, 1.0, _STEP_MM)
             shift = gui.add_button_group("move", _SHIFT_BUTTONS)

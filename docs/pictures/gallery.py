@@ -22,6 +22,15 @@ FOLDER = DOCS / "pictures" / "robots"
 SIZE_PIXELS = 400
 TURN_RAD = np.radians(35.0)  # from the model's own azimuth: neither from the front nor from the side
 ELEVATION_RAD = np.radians(-20.0)
+# Of the robots whose names in Menagerie do not say it.
+MAKERS = {
+    "aloha": "Trossen Robotics",
+    "anybotics_anymal_c": "ANYbotics",
+    "shadow_hand": "Shadow Robot",
+    "trs_so_arm100": "The Robot Studio",
+    "ufactory_xarm7": "UFACTORY",
+    "wonik_allegro": "Wonik Robotics",
+}
 HEAD = """# Gallery
 
 Robots that armctl was tested with, as `armctl.load` returns them, at home. Others of MuJoCo Menagerie load in the same way, and
@@ -82,10 +91,11 @@ def cell(robot: str) -> str:
         return ""
     draw(arms, FOLDER / f"{robot}.webp")
     name = "armctl's bundled arm" if robot == BUNDLED else menagerie.get(robot).display_name
+    maker = f" by {MAKERS[robot]}" if robot in MAKERS else ""
     joints = f"{arms[0].n} joints" if len(arms) == 1 else f"{len(arms)} chains"
     return f""":::{{container}}
 ![{name}](pictures/robots/{robot}.webp)
-**{name}**, {joints}: `armctl view {robot}{options(robot, arms)}`
+**{name}**{maker}, {joints}: `armctl view {robot}{options(robot, arms)}`
 :::
 """
 

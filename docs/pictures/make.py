@@ -192,13 +192,13 @@ def drag() -> None:
     with browser(armctl.load("panda", scene=scene), *DRAG_PAGE_PX) as (page, tab):
         session = page.session
         start = np.array([0.5, 0.4, 0.25])
-        session.aim(armctl.Pose(start, rpy=[np.pi, 0.0, 0.0]))  # the arrow of its y axis points to the world's -y
+        session.aim(armctl.Pose(start, rpy=[np.pi, 0.0, 0.0]))
         time.sleep(4)
         tab.get_by_text("at the target").first.wait_for(timeout=60e3)
         time.sleep(12)  # until the fine meshes are there
         tab.evaluate(CURSOR)
         session.set_speed_override(0.5)
-        arrow = start - np.array([0.0, DRAG_ARROW_M, 0.0])
+        arrow = start + np.array([0.0, DRAG_ARROW_M, 0.0])
         handle = on_screen(page, tab, arrow)
         drop = on_screen(page, tab, arrow - np.array([0.0, 0.52, 0.0]))
         for share in np.linspace(1.0, 0.0, 6):

@@ -261,7 +261,9 @@ def test_what_was_touched_is_reported():
         "duration": 0.1,
         "on_tool": True,
     }
-    assert "contact " not in str(Report.from_log(made_log()))
+    without = Report.from_log(made_log())
+    assert "contact " not in str(without)
+    assert [row[-1].endswith(", with contact") for row in report_table([report, without]).rows] == [True, False]
 
 
 def test_a_report_says_why_it_is_not_ok():

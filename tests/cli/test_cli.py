@@ -204,6 +204,15 @@ def test_info_names_joints_limits_and_sources(capsys):
     assert json.loads(out)["result"]["limits"]["tau_max"] == [250.0, 250.0, 150.0]
 
 
+def test_an_arm_whose_joints_bear_no_weight_holds_any_payload(capsys, tmp_path: Path):
+    file = tmp_path / "planar.urdf"
+    file.write_text(urdf(FIRST, SECOND, THIRD, TOOL).replace("0 1 0", "0 0 1"))
+    _, out, _ = run(capsys, "info", str(file))
+    assert "static payload at the tip: any, because" in out
+    _, out, _ = run(capsys, "info", str(file), "--json")
+    assert json.loads(out, parse_constant=pytest.fail)["result"]["static_payload_kg"] is None
+
+
 def test_robots_lists_every_name(capsys):
     status, out, _ = run(capsys, "robots")
     assert status == 0

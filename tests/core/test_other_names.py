@@ -59,6 +59,20 @@ def test_an_unknown_public_name_lists_similar_ones():
         armctl.solve_ikk  # noqa: B018
 
 
+@pytest.mark.parametrize(("word", "name"), armctl._OTHER_NAMES.items())
+def test_a_public_name_of_other_libraries_is_answered_by_one_that_exists(word: str, name: str):
+    with pytest.raises(AttributeError, match=f"^armctl has no attribute '{word}'; similar: {name}$"):
+        getattr(armctl, word)
+    assert hasattr(armctl, name)
+
+
+@pytest.mark.parametrize("word", ["pid", "PID", "osc"])
+def test_a_controller_by_its_name_elsewhere_is_suggested(word: str):
+    with pytest.raises(armctl.UnknownNameError) as caught:
+        armctl.Simulation(arm_of("robot_arm_3dof"), word)
+    assert str(caught.value).split("'")[3] in {"computed-torque-observer", "operational-space"}
+
+
 def test_angles_in_degrees_give_a_warning():
     with pytest.warns(armctl.ArmctlWarning, match="taken in radians"):
         armctl.Pose([0.3, 0.0, 0.4], rpy=[180, 0, 0])

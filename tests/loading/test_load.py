@@ -127,6 +127,7 @@ def test_a_robot_that_cannot_be_downloaded_says_so_at_once(monkeypatch: pytest.M
     sentence = str(caught.value)
     assert sentence.startswith("google_robot: its model is not installed (http://127.0.0.1:9: ")
     assert "`mujoco-menagerie prefetch google_robot`, or set MENAGERIE_ROOT to a checkout" in sentence
+    assert sentence.endswith("; 'robot_arm_3dof' comes with armctl")
     assert "\n" not in sentence
 
 

@@ -357,6 +357,11 @@ def test_each_activity_has_its_sentence(activity: Activity):
     assert describe(status) == STATUS_SENTENCES[activity]
 
 
+def test_a_tip_within_a_millimetre_of_a_moving_target_has_nothing_to_go():
+    status = replace(RealTimeSession(arm_of(BUNDLED)).status, activity=Activity.FOLLOWING, position_error=3e-4)
+    assert describe(status) == "following"
+
+
 def test_an_unreachable_orientation_has_its_sentence():
     status = RealTimeSession(arm_of(BUNDLED)).status
     status = replace(status, activity=Activity.FOLLOWING, reach_error=0.0, position_error=0.012)

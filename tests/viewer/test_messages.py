@@ -161,6 +161,16 @@ def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, 
     follows(page, client)
 
 
+def test_an_orientation_out_of_reach_comes_with_a_remedy(page, client):
+    client.set(page, "orientation counts", True)
+    client.set(page, "position, m", [0.3, 0.0, 0.4])
+    client.set(page, "roll, pitch, yaw, rad", [0.0, 0.0, 1.5])
+    until(lambda: "this orientation is out of reach here" in page.scene.text.content, "the orientation is not refused")
+    assert "switch off* orientation counts *under* Target" in page.scene.text.content
+    follows(page, client)
+    until(lambda: "orientation" not in page.scene.text.content, "the remedy stays")
+
+
 def test_jog_buttons_move_the_target_along_tool_or_world_axes_and_undo_takes_it_back(page, client):
     start = page.session.status.target
     client.set(page, "step, mm", 30.0)
