@@ -37,6 +37,14 @@ def test_the_feedback_of_computed_torque_is_an_acceleration_times_the_inertia_an
         assert (added > 0.0).any()
 
 
+@pytest.mark.parametrize("share", [0.1, 0.7, 1.5])
+def test_a_joint_of_negligible_inertia_gets_what_its_motor_accelerates_at_1000_rad_per_s2(tmp_path, share):
+    arm = serial_arm(tmp_path, Shape(0.3, 2.0, 100.0, joints=1, home="0.3"))
+    inertia = arm.mass_matrix(arm.home)[0]
+    strong = arm.with_limits(replace(arm.limits, tau_max=1000.0 * inertia / share))
+    assert extra_inertia(strong, 15.0, 0.8, DT) == pytest.approx(np.maximum(inertia / share - inertia, 0.0), rel=1e-9)
+
+
 class Fall:
     """The second joint moves from one position to another in half a second, and rests there."""
 
