@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import armctl
 from armctl.collision.checker import CollisionChecker
@@ -87,18 +88,34 @@ def beside_a_ball(tmp_path: Path, inside: str, names: str) -> armctl.Arm:
     return arm
 
 
-@pytest.mark.parametrize("shape", ["capsule", "box"])
-@pytest.mark.parametrize("begin", [0.0, -0.013, -0.3, -1.1])
-@pytest.mark.parametrize("end", [0.05, 0.4, 1.4])
-def test_the_end_of_a_rod_that_turns_about_its_middle_is_proved(tmp_path: Path, shape: str, begin: float, end: float):
+# Their sizes in m, and the point of each that is farthest from its middle.
+SHAPES = {
+    "long capsule": ("capsule", (0.002, 0.298), (0.0, 0.0, 0.3)),
+    "short capsule": ("capsule", (0.2, 0.05), (0.0, 0.0, 0.25)),
+    "long box": ("box", (0.3, 0.01, 0.02), (0.3, 0.01, -0.02)),
+    "flat box": ("box", (0.01, 0.2, 0.15), (-0.01, 0.2, 0.15)),
+    "long cylinder": ("cylinder", (0.01, 0.3), (0.01, 0.0, 0.3)),
+    "flat cylinder": ("cylinder", (0.25, 0.03), (0.0, 0.25, -0.03)),
+    "needle": ("ellipsoid", (0.01, 0.3, 0.02), (0.0, 0.3, 0.0)),
+    "disc": ("ellipsoid", (0.3, 0.299, 0.02), (0.3, 0.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("begin", [0.0, -0.013, -1.1])
+@pytest.mark.parametrize("end", [0.05, 1.4])
+def test_the_end_of_a_shape_that_turns_about_its_middle_is_proved(tmp_path: Path, shape: str, begin: float, end: float):
     """It points at the ball at the angle 0, which no bisection meets but at the begin of the motion."""
-    size = f'{RADIUS}" fromto="{-LEVER} 0 0 {LEVER} 0 0' if shape == "capsule" else f"{LEVER} {RADIUS} {RADIUS}"
-    rod = f'<geom type="{shape}" size="{size}"/><site name="tip" pos="{LEVER} 0 0"/>'
-    hinge = f'<body><joint name="b" axis="0 0 1" range="-3 3"/>{MASS}{rod}</body>'
+    kind, sizes, farthest = SHAPES[shape]
+    reach = np.linalg.norm(farthest)
+    turned = Rotation.align_vectors([[1.0, 0.0, 0.0]], [np.array(farthest) / reach])[0].as_quat(scalar_first=True)
+    numbers = " ".join(map(str, sizes))
+    geom = f'<geom type="{kind}" size="{numbers}" quat="{" ".join(map(str, turned))}"/><site name="tip"/>'
+    hinge = f'<body><joint name="b" axis="0 0 1" range="-3 3"/>{MASS}{geom}</body>'
     # What one joint alone keeps apart is proved in advance.
     arm = beside_a_ball(tmp_path, f'<body><joint name="a" axis="0 1 0" range="-3 3"/>{MASS}{hinge}</body>', "a b")
     checker = CollisionChecker(arm)
-    least = APART - LEVER - RADIUS - (RADIUS if shape == "capsule" else 0.0)
+    least = APART - reach - RADIUS
     for motion in ([begin, end], [end, begin], [-begin, -end]):
         ends = np.outer(motion, [0.0, 1.0])
         assert checker.line_hit(*ends, least + HAIR_M) is not None
