@@ -109,7 +109,9 @@ def guarded_torque(arm, data, tau):
 
 def test_a_torque_that_drives_a_joint_too_fast_or_into_a_stop_is_that_of_the_allowed_velocity(tmp_path):
     """Large damping, of which an explicit step would make another velocity."""
-    shape = replace(BENT["six joints"], joint='armature="0.1" damping="20"', torque=1000.0, range="-0.6 0.6", home="0 0 0 0 0 0")
+    shape = replace(
+        BENT["six joints"], joint='armature="0.1" damping="20"', torque=1000.0, range="-0.6 0.6", home="0 0 0 0 0 0"
+    )
     serial_arm(tmp_path, shape)
     env = armctl.envs.ArmVectorEnv(tmp_path / "serial.xml", "Reach", "torque", 1, ticks=1, horizon=200)
     env.reset(seed=2)
