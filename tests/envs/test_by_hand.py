@@ -76,6 +76,20 @@ def test_a_torque_acts_after_its_delay_and_the_first_one_until_then(make, delay)
                 row_is_at(env, row, arm, data)
 
 
+@pytest.mark.parametrize("task", ["Reach", "PickPlace"])
+@pytest.mark.parametrize("action", ["joint_delta", "joint_target", "cartesian_delta", "cartesian_pose", "torque"])
+def test_an_action_beyond_its_range_is_the_one_at_its_end(make, task, action):
+    one = make(task, action)
+    other = make(task, action)
+    for env in (one, other):
+        env.reset(seed=4)
+    for given in random_actions(one, 5, seed=4):
+        one.step(3.0 * given)
+        other.step(np.clip(3.0 * given, -1.0, 1.0))
+    assert np.array_equal(one.batch.rows.q, other.batch.rows.q)
+    assert np.array_equal(one.batch.rows.opening, other.batch.rows.opening)
+
+
 def approach_speed(arm, way, dt):
     """The signed speed from which each joint stops within a way, exponential near its end."""
     rate = min(40.0, 0.2 / dt)
