@@ -137,7 +137,9 @@ def test_the_limits_of_one_joint_do_not_move_another_that_nothing_couples_with_i
     """Two slides at a right angle: their inertia, and the Jacobian of the tip, are diagonal."""
     slide = '<body><joint name="{0}" type="slide" axis="{1}" range="-1 1" damping="1"/><inertial pos="0 0 0" mass="{2}" {3}/>'
     inertia = 'diaginertia="0.1 0.1 0.1"'
-    bodies = slide.format("x", "1 0 0", 1, inertia) + slide.format("y", "0 1 0", 2, inertia) + '<site name="tip"/></body></body>'
+    x = slide.format("x", "1 0 0", 1, inertia)
+    y = slide.format("y", "0 1 0", 2, inertia)
+    bodies = f'{x}{y}<site name="tip"/></body></body>'
     motors = "".join(f'<motor joint="{name}" ctrlrange="-20 20"/>' for name in "xy")
     path = tmp_path / "gantry.xml"
     path.write_text(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
