@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-# Functions and arguments of which nothing can be observed but a text, the speed, or an answer's last digits.
+# Functions and arguments of which nothing can be observed but a text, the speed, other samples, or an answer's last digits.
 SKIPPED_FUNCTIONS = ("__repr__", "__str__", "_repr_html_")
-SKIPPED_CALLS = re.compile(r"(^|\.)(warn|\w*Error)$")
+SKIPPED_CALLS = re.compile(r"(^|\.)(warn|\w*Error|default_rng)$")
 SKIPPED_ARGUMENTS = re.compile(r"\w*tol\w*|strict|stacklevel|maxsize|max_?iter\w*|copy|check_finite|overwrite_\w+|frozen|slots")
 ROUNDING = 1e-6  # smaller numbers are thresholds of rounding
 

@@ -13,6 +13,7 @@ from synthetic import limb, mjcf, motors
 import armctl
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import collision_checker
+from armctl.collision.geometry import colliding_pairs
 
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
@@ -145,6 +146,35 @@ def test_links_that_neighbor_each_other_are_proved_once_and_left_out(arm):
     links = [arm.model.body(f"link{i}").id for i in range(6)]
     assert (links[0], links[1]) not in bodies
     assert (links[0], links[3]) in bodies
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_pairs_that_can_collide_are_those_in_which_mujoco_finds_contacts(seed: int):
+    """Random trees of bodies, some of them welded to their parent or to the world, of which all geoms are at one place."""
+    rng = np.random.default_rng(seed)
+    spec = mujoco.MjSpec()
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT) * int(rng.integers(4) == 0)
+    bodies = [spec.worldbody]
+    for k in range(10):
+        parent = bodies[rng.integers(len(bodies))]
+        body = parent.add_body(name=f"body{k}", pos=1e-3 * rng.normal(size=3), mass=1.0, inertia=[1.0, 1.0, 1.0])
+        if rng.integers(3):
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
+        bodies.append(body)
+    for k, body in enumerate(bodies):
+        bits = {"contype": int(rng.integers(4)), "conaffinity": int(rng.integers(4))} if rng.integers(2) else {}
+        body.add_geom(name=f"geom{k}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1.0, 0.0, 0.0], **bits)
+    for _ in range(2):
+        one, other = rng.choice(10, 2, replace=False)
+        spec.add_exclude(bodyname1=f"body{one}", bodyname2=f"body{other}")
+        one, other = rng.choice(11, 2, replace=False)
+        spec.add_pair(geomname1=f"geom{one}", geomname2=f"geom{other}")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    contacts = {tuple(sorted(pair)) for pair in data.contact.geom.tolist()}
+    assert contacts
+    assert {tuple(pair) for pair in colliding_pairs(model).tolist()} == contacts
 
 
 def test_geoms_whose_bits_do_not_match_never_touch(tmp_path):

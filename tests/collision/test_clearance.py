@@ -102,6 +102,23 @@ def test_nothing_to_touch_is_said(tmp_path):
     assert str(check) == "nothing can touch"
 
 
+def test_a_motion_that_tilts_is_refused_with_a_distance_that_occurs(arm, tmp_path):
+    checker = collision_checker(arm)
+    motion = next(motion for motion in motions(arm) if armctl.check_clearance(arm, motion).ok)
+    check = armctl.check_clearance(arm, motion, keep="z", keep_within=1e-3)
+    assert not check
+    assert "tilts by more than 0.001 rad" in check.reason
+    times = np.linspace(0, motion.duration, 500)
+    distances = [checker.nearest(q)[1] for q in motion.sample(times).q]
+    assert min(distances) - 1e-4 <= check.distance <= min(distances[0], distances[-1])
+    alone = arm_among(tmp_path, "")
+    allow = [("link0", f"link{i}") for i in range(6)]
+    tilted = armctl.move_j(alone, alone.home, alone.home + 0.01)
+    check = armctl.check_clearance(alone, tilted, keep="z", keep_within=1e-3, allow=allow)
+    assert not check
+    assert check.distance == np.inf
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from motions import Still
 from synthetic import BENT, SHAPES, Shape, serial_arm
 
 import armctl
@@ -35,6 +36,24 @@ def test_the_feedback_of_computed_torque_is_an_acceleration_times_the_inertia_an
         assert with_feedback - without == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(expected).max())
     if shape is not BENT["six joints"]:
         assert (added > 0.0).any()
+
+
+@pytest.mark.parametrize("share", [0.1, 0.7, 1.5])
+def test_a_joint_of_negligible_inertia_gets_what_its_motor_accelerates_at_1000_rad_per_s2(tmp_path, share):
+    arm = serial_arm(tmp_path, Shape(0.3, 2.0, 100.0, joints=1, home="0.3"))
+    inertia = arm.mass_matrix(arm.home)[0]
+    strong = arm.with_limits(replace(arm.limits, tau_max=1000.0 * inertia / share))
+    assert extra_inertia(strong, 15.0, 0.8, DT) == pytest.approx(np.maximum(inertia / share - inertia, 0.0), rel=1e-9)
+
+
+def test_a_clipped_torque_of_a_damped_joint_is_foreseen_so_that_the_others_stand_still(tmp_path):
+    """Only the Coriolis torques of the first joint's speed act on the others, and the law knows them by its estimate."""
+    arm = serial_arm(tmp_path, Shape(0.3, 2.0, 100.0, joints=3, joint='armature="0.1" damping="20"', home="0.2 0.5 0.9"))
+    simulation = armctl.Simulation(arm, "computed-torque", armctl.Plant(timestep=DT))  # at home
+    log = simulation.run(Still(arm.home + np.array([0.5, 0.0, 0.0]), 0.1))
+    assert np.abs(log.tau_cmd[:, 0]).max() > 1.4 * arm.limits.tau_max[0]
+    assert np.abs(arm.coriolis(log.q[50], log.v[50])[1:]).min() > 0.01
+    assert np.abs(log.v[:, 1:]).max() < 1e-10
 
 
 class Fall:

@@ -115,6 +115,44 @@ def test_a_reference_outside_of_the_joint_limits_leaves_the_arm_inside(arm):
     assert np.abs(log.v[-1]).max() < 0.05
 
 
+class Rush:
+    """One joint moves at its largest speed to a position at its limit, and stops at once."""
+
+    duration = 1.0
+
+    def __init__(self, way):
+        self.way = way
+
+    def __call__(self, t):
+        return armctl.Setpoint(*(column[0] for column in self.sample([t])[:3]))
+
+    def sample(self, times):
+        run = 2.0 * np.maximum(np.asarray(times)[:, None] - 0.1, 0.0)
+        v = 2.0 * ((run > 0.0) & (run < 0.9995)) * self.way
+        return armctl.Setpoint(np.minimum(run, 0.9995) * self.way, v, 0.0 * v)
+
+
+@pytest.mark.parametrize("way", [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+def test_the_limits_of_one_joint_do_not_move_another_that_nothing_couples_with_it(tmp_path, way):
+    """Two slides at a right angle: their inertia, and the Jacobian of the tip, are diagonal."""
+    slide = '<body><joint name="{0}" type="slide" axis="{1}" range="-1 1" damping="1"/><inertial pos="0 0 0" mass="{2}" {3}/>'
+    inertia = 'diaginertia="0.1 0.1 0.1"'
+    x = slide.format("x", "1 0 0", 1, inertia)
+    y = slide.format("y", "0 1 0", 2, inertia)
+    bodies = f'{x}{y}<site name="tip"/></body></body>'
+    motors = "".join(f'<motor joint="{name}" ctrlrange="-20 20"/>' for name in "xy")
+    path = tmp_path / "gantry.xml"
+    path.write_text(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
+    gantry = armctl.load(path)
+    gantry = gantry.with_limits(replace(gantry.limits, v_max=np.full(2, 2.0), a_max=np.full(2, 50.0), j_max=np.full(2, 1e4)))
+    law = armctl.MPC(gantry)
+    log = armctl.Simulation(gantry, law, armctl.Plant(timestep=0.001)).run(Rush(np.array(way)))
+    moving = int(np.argmax(np.abs(way)))
+    assert law.counts.planned > 100
+    assert np.abs(log.q[:, moving]).max() > 0.99
+    assert np.abs(log.v[:, 1 - moving]).max() < 1e-8
+
+
 def test_without_a_plan_the_limits_of_the_tick_hold(arm):
     """Limits of velocity that contradict those of torque: the arm is faster than it may be."""
     slow = arm.with_limits(replace(arm.limits, v_max=np.full(arm.n, 0.05), tau_max=1.1 * np.abs(arm.gravity(arm.home)) + 0.05))

@@ -1,5 +1,7 @@
 """Environments step by step: MuJoCo's own step and NumPy make the same motions, observations and rewards."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -74,13 +76,77 @@ def test_a_torque_acts_after_its_delay_and_the_first_one_until_then(make, delay)
                 row_is_at(env, row, arm, data)
 
 
-def follow_by_hand(arm, q, v, target, dt):
-    """One tick of a reference that approaches a target: its setpoint, and where it is afterwards."""
+@pytest.mark.parametrize("task", ["Reach", "PickPlace"])
+@pytest.mark.parametrize("action", ["joint_delta", "joint_target", "cartesian_delta", "cartesian_pose", "torque"])
+def test_an_action_beyond_its_range_is_the_one_at_its_end(make, task, action):
+    one = make(task, action)
+    other = make(task, action)
+    for env in (one, other):
+        env.reset(seed=4)
+    for given in random_actions(one, 5, seed=4):
+        one.step(3.0 * given)
+        other.step(np.clip(3.0 * given, -1.0, 1.0))
+    assert np.array_equal(one.batch.rows.q, other.batch.rows.q)
+    assert np.array_equal(one.batch.rows.opening, other.batch.rows.opening)
+
+
+def approach_speed(arm, way, dt):
+    """The signed speed from which each joint stops within a way, exponential near its end."""
     rate = min(40.0, 0.2 / dt)
-    way = target - q
     linear = rate * np.abs(way)
     rooted = np.sqrt(np.maximum(2.0 * arm.limits.a_max * (np.abs(way) - 0.5 * arm.limits.a_max / rate**2), 0.0))
-    speed = np.sign(way) * np.where(linear * rate > arm.limits.a_max, rooted, linear)
+    return np.sign(way) * np.where(linear * rate > arm.limits.a_max, rooted, linear)
+
+
+def guarded_torque(arm, data, tau):
+    """The torque of which MuJoCo's step makes the allowed velocities that are next to those of a torque; whether it differs."""
+    model = arm.model
+    dt = model.opt.timestep
+    now = mujoco.MjData(model)
+    now.qpos[:] = data.qpos
+    now.qvel[:] = data.qvel
+    mujoco.mj_forward(model, now)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, now, inertia)
+    inertia += dt * np.diag(model.dof_damping)  # of the implicit step
+    bias = now.qfrc_bias - now.qfrc_passive
+    q = data.qpos[arm.qpos_adr]
+    v = data.qvel[arm.dof_adr]
+    free = np.linalg.solve(inertia, tau - bias)
+    margin = 1e-3 * (arm.limits.q_max - arm.limits.q_min)
+    upper = np.minimum(approach_speed(arm, arm.limits.q_max - margin - q, dt), arm.limits.v_max)
+    lower = np.maximum(approach_speed(arm, arm.limits.q_min + margin - q, dt), -arm.limits.v_max)
+    most = np.maximum((upper - v) / dt, -2.0 * arm.limits.a_max)
+    least = np.minimum((lower - v) / dt, 2.0 * arm.limits.a_max)
+    return inertia @ np.clip(free, least, most) + bias, (free > most) | (free < least)
+
+
+def test_a_torque_that_drives_a_joint_too_fast_or_into_a_stop_is_that_of_the_allowed_velocity(tmp_path):
+    """Large damping, of which an explicit step would make another velocity."""
+    shape = replace(
+        BENT["six joints"], joint='armature="0.1" damping="20"', torque=1000.0, range="-0.6 0.6", home="0 0 0 0 0 0"
+    )
+    serial_arm(tmp_path, shape)
+    env = armctl.envs.ArmVectorEnv(tmp_path / "serial.xml", "Reach", "torque", 1, ticks=1, horizon=200)
+    env.reset(seed=2)
+    arm, data = started(env, 0)
+    rng = np.random.default_rng(2)
+    guarded = 0
+    for k in range(120):
+        if k % 40 == 0:
+            action = rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+        env.step(action)
+        tau, is_changed = guarded_torque(arm, data, arm.limits.tau_max * action[0].astype(float))
+        drive(arm, data, tau)
+        row_is_at(env, 0, arm, data)
+        guarded += is_changed.any()
+    env.close()
+    assert guarded > 20
+
+
+def follow_by_hand(arm, q, v, target, dt):
+    """One tick of a reference that approaches a target: its setpoint, and where it is afterwards."""
+    speed = approach_speed(arm, target - q, dt)
     after = np.clip(np.clip(speed, -arm.limits.v_max, arm.limits.v_max), v - arm.limits.a_max * dt, v + arm.limits.a_max * dt)
     a = (after - v) / dt
     return armctl.Setpoint(q, v, a, v, a), q + dt * after, after

@@ -103,6 +103,19 @@ def test_the_expert_acts_by_other_actions(action):
     assert successes[-1]
 
 
+def test_without_a_plan_the_expert_moves_straight_into_the_obstacle():
+    """The goal is inside the obstacle."""
+    env = armctl.envs.ArmEnv(ROBOT, "ReachPast", "joint_target")
+    policy = armctl.envs.ExpertPolicy(env)
+    env.reset(seed=0)
+    batch = env.batch
+    batch.goal[0] = batch.obstacle[0]
+    away = np.linalg.norm(batch.rows.tip[0, :3] - batch.goal[0])
+    information = [env.step(policy())[4] for _ in range(batch.horizon - 1)]
+    assert np.linalg.norm(batch.rows.tip[0, :3] - batch.goal[0]) < 0.5 * away
+    assert any(each["touched"] for each in information)
+
+
 def test_an_action_that_is_too_large_is_shortened_and_a_delta_keeps_its_direction():
     for action, wanted, possible in (
         ("joint_delta", [2.0, -4.0, 1.0], [0.5, -1.0, 0.25]),

@@ -95,6 +95,19 @@ def test_refining_ends_finite_and_inside_the_limits_from_anywhere(name: str):
 
 
 @every_arm
+@pytest.mark.parametrize("far", [1e150, 1e300])
+def test_a_target_whose_square_is_no_number_is_approached_in_its_direction(name: str, far: float):
+    arm = arm_of(name)
+    direction = np.array([0.6, 0.0, 0.8])
+    result = solve_ik(arm, far * direction)
+    assert not result.ok
+    assert "out of reach" in result.reason
+    assert arm.limits.contains(result.q)
+    farthest = (arm.fk_many(positions(arm, 2000))[0] @ direction).max()
+    assert arm.fk(result.q).position @ direction >= farthest - 1e-3
+
+
+@every_arm
 def test_out_of_reach_is_a_best_effort_with_a_reason(name: str):
     arm = arm_of(name)
     reach, base = ik_chain(arm).reach, arm.pinocchio_model.placements[0, :3, 3]

@@ -83,6 +83,19 @@ def test_the_first_reference_is_the_motion_and_a_repetition_starts_where_it_does
     assert np.abs(learning.reference.sample(times).q - motion.sample(times).q).max() > 1e-3
 
 
+def test_a_learnt_reference_starts_and_ends_at_rest_also_where_its_errors_end_under_way(bundled):
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.4)
+    learning = armctl.IterativeLearning(bundled, motion, dwell=0.0)
+    for _ in range(3):
+        log = armctl.simulate(bundled, "pd", learning.reference)
+        assert np.abs((log.q - motion.sample(log.t).q)[-1]).max() > 1e-3
+        learning.update(log)
+    ends = learning.reference.sample([0.0, learning.reference.duration])
+    assert np.abs(learning.reference.sample([motion.duration - 0.02]).v).max() > 0.01
+    assert ends.v == pytest.approx(np.zeros((2, bundled.n)), abs=1e-9)
+    assert ends.a == pytest.approx(np.zeros((2, bundled.n)), abs=1e-6)
+
+
 def test_an_incomplete_run_is_refused(bundled):
     motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.4)
     learning = armctl.IterativeLearning(bundled, motion)

@@ -124,6 +124,19 @@ def test_an_override_changes_the_speed_and_not_the_path(arm, factor, share):
     assert motion.duration < slower.duration < begin + (motion.duration - begin) / factor
 
 
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.8])
+def test_a_change_of_the_speed_has_a_knot_where_the_motion_has_one(arm, share):
+    """The jerk of a motion jumps at its knots: a piece of the change across one would leave the motion between its samples."""
+    motion = armctl.move_through(arm, [arm.home, *(arm.home + np.array(way) for way in WAYPOINTS)])
+    begin = share * motion.duration
+    slower = motion.overridden(begin, 0.7)
+    at_knots = slower.sample(slower.knots).q
+    later = motion.knots[motion.knots > begin]
+    assert len(later) > 5
+    for q in motion.sample(later).q:
+        assert np.abs(at_knots - q).max(axis=1).min() < 1e-6
+
+
 @pytest.mark.parametrize("change", [lambda motion, t: motion.overridden(t, 0.4), lambda motion, t: motion.stopped_at(t)])
 def test_a_change_of_the_speed_that_begins_just_before_a_knot_has_no_jump(arm, change):
     motion = armctl.move_j(arm, arm.home - 0.4, arm.home + 0.4, speed=0.5)
