@@ -49,7 +49,9 @@ public:
 
 private:
     static constexpr size_t counters = 4;
-    static constexpr double joint_weight = 0.1;  // of c in the measure of the tip, as in ComputedTorqueQP; less bends the arm far
+    // In the measure of the tip, more than in ComputedTorqueQP, for the program of the tick as well: where limits act for long, joints
+    // that cost little go far astray, from where no plan leads back.
+    static constexpr double joint_weight = 0.1;
     // Limits of velocity and position that are farther away than this share of their range are not part of the program.
     static constexpr double near_limit = 0.15;
     static constexpr double tolerance = 1e-9;           // relative, of a limit
@@ -139,6 +141,7 @@ private:
     }
 
     void plan(const State& state, const Setpoint& setpoint, Result tau) override {
+        for (size_t i = 0; i < joints(); ++i) { H_(i, i) += joint_weight * joint_weight * length_ * length_; }
         if (dt_ == 0.0) { return; }
         for (size_t i = 0; i < joints(); ++i) {
             error_[i] = setpoint.q[i] - state.q[i];
@@ -257,13 +260,11 @@ private:
 
     QuadraticProgram program() {
         const size_t n = joints();
-        for (size_t i = 0; i < n; ++i) { H_(i, i) += joint_weight * joint_weight * length_ * length_; }
         for (size_t row = 0; row < size(); ++row) {
             for (size_t column = 0; column < size(); ++column) {
                 cost_(row, column) = squares_(row / n, column / n) * H_(row % n, column % n);
             }
         }
-        for (size_t i = 0; i < n; ++i) { H_(i, i) -= joint_weight * joint_weight * length_ * length_; }
         return {.H = cost_, .f = no_cost_, .M = rows_, .lower = lower_, .upper = upper_};
     }
 
