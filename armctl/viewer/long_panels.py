@@ -10,7 +10,7 @@ from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
 from armctl.core.units import length_text
-from armctl.ik.reachability import Reachability, reachability
+from armctl.ik.reachability import reachability
 from armctl.robot.arm import Arm
 from armctl.sim.plant import Plant
 from armctl.sim.realtime.session import RealTimeSession
