@@ -73,6 +73,18 @@ def test_with_weak_motors_the_error_of_the_tip_is_a_third(arm, seed):
     assert weak.limits.contains(log.q, tolerance=1e-6)
 
 
+@pytest.mark.parametrize("seed", [3, 5, 13, 17])
+def test_where_motors_are_weak_for_long_the_arm_stays_near_its_motion(arm, seed):
+    """Clipped computed torque lets joints exceed their speed limits instead, and so catches up."""
+    motion = random_motion(arm, seed)
+    weak = weakened(arm, motion, 0.5)
+    log = run(weak, armctl.MPC(weak), motion)
+    assert np.abs(log.q - log.q_ref).max() < 0.25
+    assert np.linalg.norm(log.tip - log.tip_ref, axis=1).max() < 0.03
+    assert (np.abs(log.v) <= 1.001 * weak.limits.v_max).all()
+    assert weak.limits.contains(log.q, tolerance=1e-6)
+
+
 def test_the_torque_of_damped_joints_is_foreseen(tmp_path):
     """An error at the start of a motion at the limit of velocity remains until its end: torques have to be foreseen."""
     planar = serial_arm(tmp_path, BENT["planar"])
