@@ -251,7 +251,7 @@ def test_the_points_that_the_arm_reaches_are_shown_and_hidden(page, client):
     panel = page.panel._reachability
     client.set(page, "reachable points", True)
     until(lambda: panel._points is not None and panel._points.visible, "the points are not shown")
-    assert re.fullmatch(r"\d+ of \d+ points reached, .* m\^3\.", panel._text.content)
+    until(lambda: re.fullmatch(r"\d+ of \d+ points reached, .* m\^3\.", panel._text.content), "no number of points")
     shown = np.linalg.norm(panel._points.points - page.session.arm.fk(page.session.arm.home).position, axis=1)
     assert shown.min() < 0.2  # the tip is among them
     client.set(page, "reachable points", False)
