@@ -178,6 +178,7 @@ class PlantLink(Link):
     def close(self) -> None:
         if self._record is not None:
             self._record.close()
+        self._stepper = None
 
     def _seen(self) -> Seen:
         stepper = self._simulation()

@@ -19,7 +19,7 @@ from armctl.core.log import Log
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import flag, instance, number
+from armctl.core.validation import flag, number
 from armctl.links.dry_run import DryRun, rehearsal_of
 from armctl.links.envelope import envelope_of
 from armctl.links.hand import Hand
@@ -35,7 +35,7 @@ from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces, sample
 from armctl.robot.arm import Arm
 from armctl.sim.commands import Commands
-from armctl.sim.contact_reaction import ContactReaction
+from armctl.sim.contact_reaction import ContactReaction, check_reaction
 from armctl.sim.follow import MovingTarget
 from armctl.sim.move import PlannedMove
 
@@ -113,8 +113,8 @@ class Robot(Commands):
                 raise LinkError(refusal)
             self._drive = LinkDrive(arm, self._host, link, envelope, tip_speed)
             failed.pop_all()
-        self._robot_arms = RobotArms(arm, self._drive, self._provable)
-        super().__init__(self._robot_arms)
+        self._arms: RobotArms = RobotArms(arm, self._drive, self._provable)
+        super().__init__(self._arms)
         self._settle = link.settle
         self._closed = False
 
@@ -135,18 +135,18 @@ class Robot(Commands):
 
         It is felt in the program, so that the arm brakes about 25 ms later; the robot's own reaction is faster.
         """
-        return self._robot_arms.reaction
+        return self._arms.reaction
 
     @reaction.setter
     def reaction(self, reaction: ContactReaction | None) -> None:
         if reaction is not None:
-            instance("reaction", reaction, ContactReaction, "armctl.ContactReaction(arm) is one")
+            check_reaction(reaction, self.arm)
             if reaction.reaction == "float":
                 raise InputError("reaction: a robot takes positions only and cannot float; 'stop' and 'retreat' are possible")
             seen = self._host.read()
             if not (np.isfinite(seen.v).all() and np.isfinite(seen.tau).all()):
                 raise InputError(f"reaction: {self.link.name} measures no speeds and torques, so that it feels no contact")
-        self._robot_arms.reaction = reaction
+        self._arms.reaction = reaction
 
     @property
     def lost_ticks(self) -> int:

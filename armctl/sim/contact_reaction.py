@@ -60,6 +60,11 @@ class ContactReaction:
         self.force.reset()
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints of its arm."""
+        return self._arm.joint_names
+
+    @property
     def felt(self) -> str:
         """What was felt, and when; empty if nothing was."""
         return f"contact at {self.time:.3f} s: {self.contact}" if self.contact else ""
@@ -144,6 +149,14 @@ class ContactReaction:
             nothing = np.full((max(1, round(self.seconds / dt)), self._arm.n), np.nan)
             run(HandGuiding(self._arm), TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
         return self.felt
+
+
+def check_reaction(reaction: ContactReaction, arm: Arm) -> None:
+    """Raises InputError if an argument `reaction` is none, or one of another arm."""
+    instance("reaction", reaction, ContactReaction, "armctl.ContactReaction(arm) is one")
+    if reaction.joint_names != arm.joint_names:
+        own = ", ".join(arm.joint_names)
+        raise InputError(f"reaction: it is of an arm with {', '.join(reaction.joint_names):.100}; this one has {own:.100}")
 
 
 class _Feeling:

@@ -14,11 +14,11 @@ from armctl.core.errors import LimitError
 from armctl.core.log import Log
 from armctl.core.other_names import with_hints
 from armctl.core.trajectory import TickReference
-from armctl.core.validation import flag, instance, number, vector
+from armctl.core.validation import flag, number, vector
 from armctl.loading.load import load
 from armctl.robot.arm import Arm
 from armctl.sim.commands import Commands
-from armctl.sim.contact_reaction import ContactReaction
+from armctl.sim.contact_reaction import ContactReaction, check_reaction
 from armctl.sim.gripper.gripper import Gripper
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
@@ -98,7 +98,7 @@ class Simulation(Commands):
     @reaction.setter
     def reaction(self, reaction: ContactReaction | None) -> None:
         if reaction is not None:
-            instance("reaction", reaction, ContactReaction, "armctl.ContactReaction(arm) is one")
+            check_reaction(reaction, self.arm)
         self._arms.reaction = reaction
 
     @property
