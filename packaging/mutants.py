@@ -10,7 +10,7 @@ others that call it, for 40 s in all. Which test calls which function is recorde
 test finds is printed: a test is missing, or it changes nothing that can be observed.
 
 Errors in C++ are compiled together as far as they are expressions within a line, each behind a switch that SEEDED_ERROR turns
-on.
+on and that notes when it is reached. All tests of the core run once without an error, which tells which of them reach which.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import contextlib
 import difflib
 import hashlib
 import importlib
+import itertools
 import json
 import os
 import random
@@ -38,11 +39,12 @@ from types import CodeType, FrameType
 from typing import Any
 
 import pytest
-from mutations import CXX_SWITCH, Mutant, cxx_mutants, python_mutants, switched
+from mutations import CXX_MOST, CXX_SWITCH, Mutant, cxx_mutants, python_mutants, switched
 
 ROOT = Path(__file__).resolve().parents[1]
 WORK = ROOT / "build" / f"mutants-{os.getpid()}"
 RECORD = ROOT / "build" / "mutants.json"
+REACHED = "reached.bin"
 # Imported once, before the processes of the tests are forked.
 PRELOADED = ("scipy.optimize", "scipy.signal", "scipy.stats", "mujoco", "pinocchio", "matplotlib.pyplot", "mink")
 TIMEOUT_S = 600.0  # a test that hangs has found the error
@@ -50,18 +52,8 @@ MEMORY_BYTES = 8 << 30  # an error that allocates without end must not take the 
 CXX = "cpp"
 # Tests of a subpackage beside tests/SUBPACKAGE: it is checked where it is used.
 MORE_TESTS = {"control": ["sim"], "robot": ["control", "motion"]}
-# Tests of a file of C++ by the beginning of its path; all of these folders check what all of the core uses.
-CXX_TESTS = {
-    "laws/": ["control"],
-    "(law|linear_algebra|quadratic|interior|motors)": ["control", "sim"],
-    "(ik|closed|trigonometric|chain_kin)": ["ik"],
-    "(collision|clearance|gjk|convex)": ["collision"],
-    "(rrt)": ["planning"],
-    "(path|waypoint|limit_excess)": ["motion"],
-    "(environment|actions|error_model|free_space)": ["envs"],
-    "(tick|wrench|mujoco|tip_follower)": ["sim"],
-    "": ["robot", "control", "collision", "ik", "motion", "sim", "envs", "planning"],
-}
+# The tests that judge the core.
+CXX_TESTS = ["core", "robot", "control", "collision", "ik", "motion", "sim", "envs", "planning", "stream"]
 DEFAULT = ["control", "robot", "ik", "motion", "collision", "design", "envs", CXX]
 Record = dict[str, dict[str, Any]]
 
@@ -108,42 +100,60 @@ def files_of(subpackage: str, since: str | None) -> list[Path]:
     return [file for file in files if str(file) in names]
 
 
-class Recorder:
-    """A plugin of pytest that records which functions of armctl each test calls, and how long it takes."""
+@contextlib.contextmanager
+def called_functions() -> Iterator[set[str]]:
+    """Which functions of armctl are called, as far as they are in Python."""
+    codes: set[CodeType] = set()
+    names: set[str] = set()
 
-    def __init__(self) -> None:
-        self.tests: dict[str, dict[str, Any]] = {}
+    def note(frame: FrameType, event: str, argument: Any) -> None:
+        codes.add(frame.f_code)
+
+    threading.settrace(note)
+    sys.settrace(note)
+    try:
+        yield names
+    finally:
+        sys.settrace(None)
+        threading.settrace(None)  # pyright: ignore[reportArgumentType]
+        package = f"{WORK}/armctl/"
+        inside = (code for code in codes if package in code.co_filename)
+        names.update(f"{code.co_filename.removeprefix(f'{WORK}/')}:{code.co_qualname}" for code in inside)
+
+
+@contextlib.contextmanager
+def reached_errors() -> Iterator[set[str]]:
+    """The numbers of the errors in C++ that are reached."""
+    names: set[str] = set()
+    with (WORK / REACHED).open("r+b", buffering=0) as flags:
+        flags.write(bytes(CXX_MOST))
+        yield names
+        flags.seek(0)
+        names.update(str(number) for number, flag in enumerate(flags.read()) if flag)
+
+
+class Recorder:
+    """A plugin of pytest that records what each test calls, and how long it takes."""
+
+    def __init__(self, calls: Callable[[], contextlib.AbstractContextManager[set[str]]]) -> None:
+        self.calls = calls
+        self.tests: Record = {}
         self.failed: set[str] = set()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        called: set[CodeType] = set()
-
-        def note(frame: FrameType, event: str, argument: Any) -> None:
-            called.add(frame.f_code)
-
         started = time.process_time()
-        threading.settrace(note)
-        sys.settrace(note)
-        try:
-            return (yield)
-        finally:
-            sys.settrace(None)
-            threading.settrace(None)  # pyright: ignore[reportArgumentType]
-            package = f"{WORK}/armctl/"
-            names = {
-                f"{code.co_filename.removeprefix(f'{WORK}/')}:{code.co_qualname}"
-                for code in called
-                if package in code.co_filename
-            }
-            self.tests[item.nodeid] = {"seconds": round(time.process_time() - started, 3), "calls": sorted(names)}
+        with self.calls() as names:
+            passed = yield
+        self.tests[item.nodeid] = {"seconds": round(time.process_time() - started, 3), "calls": names}
+        return passed
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.failed:
             self.failed.add(report.nodeid)
 
     def pytest_sessionfinish(self) -> None:
-        passed = {test: row for test, row in self.tests.items() if test not in self.failed}
+        passed = {test: row | {"calls": sorted(row["calls"])} for test, row in self.tests.items() if test not in self.failed}
         (WORK / "recorded.json").write_text(json.dumps(passed))
 
 
@@ -211,13 +221,24 @@ def prepare() -> None:
     shutil.copytree(
         ROOT, WORK, symlinks=True, ignore=shutil.ignore_patterns(".git", "build", ".venv", ".lowest", "__pycache__", "_build")
     )
+    (WORK / REACHED).write_bytes(bytes(CXX_MOST))
+    os.environ["SEEDED_REACHED"] = str(WORK / REACHED)
+
+
+def run_recorded(tests: list[str], calls: Callable[[], contextlib.AbstractContextManager[set[str]]]) -> Record:
+    """What tests call that pass without an error."""
+    code = run_pytest(tests, Recorder(calls), timeout=3600.0)
+    if code:
+        print(
+            (WORK / "output.txt").read_text()[-4000:],
+            f"\nthe tests above fail without an error; they judge nothing ({code})",
+        )
+    return json.loads((WORK / "recorded.json").read_text())
 
 
 def read_record(subpackages: list[str]) -> Record:
     """The tests of subpackages and what they call; files of tests that are new or changed are run first."""
-    folders = {*subpackages, *(folder for name in subpackages for folder in MORE_TESTS.get(name, []))}
-    if CXX in folders:
-        folders = {*folders, *CXX_TESTS[""]} - {CXX}
+    folders = {*subpackages, *(folder for name in subpackages for folder in MORE_TESTS.get(name, []))} - {CXX}
     try:
         known = json.loads(RECORD.read_text())
     except FileNotFoundError:
@@ -230,13 +251,7 @@ def read_record(subpackages: list[str]) -> Record:
     new = [file for file, stamp in stamps.items() if known.get(file, {}).get("stamp") != stamp]
     if new:
         print(f"running {len(new)} files of tests without an error", flush=True)
-        code = run_pytest(new, Recorder(), timeout=3600.0)
-        if code:
-            print(
-                (WORK / "output.txt").read_text()[-4000:],
-                f"\nthe tests above fail without an error; they judge nothing ({code})",
-            )
-        recorded = json.loads((WORK / "recorded.json").read_text())
+        recorded = run_recorded(new, called_functions)
         for file in new:
             known[file] = {"stamp": stamps[file], "tests": {}}
         for test, row in recorded.items():
@@ -246,32 +261,34 @@ def read_record(subpackages: list[str]) -> Record:
 
 
 def tests_of(mutant: Mutant, record: Record, limit: float) -> list[str]:
-    """The tests that judge a mutant: those of its subpackage that call its function, others that call it, others of it."""
-    if mutant.file.suffix == ".py":
-        subpackage = mutant.file.parts[1]
-        folders = [subpackage, *MORE_TESTS.get(subpackage, [])]
-        name = f"{mutant.file}:{mutant.function}"
-    else:
-        path = "/".join(mutant.file.parts[2:])
-        folders = next(folders for start, folders in CXX_TESTS.items() if re.match(start, path))
-        name = ""
+    """The tests that judge a mutant in Python: those of its subpackage that call its function, others of both."""
+    subpackage = mutant.file.parts[1]
+    folders = [subpackage, *MORE_TESTS.get(subpackage, [])]
+    name = f"{mutant.file}:{mutant.function}"
     ranked = []
     for test, row in record.items():
         own = test.split("/")[1] in folders
         calls = name in row["calls"]
-        if own or calls or not name:
+        if own or calls:
             ranked.append((not calls, not own, row["seconds"], test))
-    seconds = 0.0
-    tests = []
-    for *_, duration, test in sorted(ranked):
-        seconds += duration
-        if seconds < limit:
-            tests.append(test)
-    return tests
+    return within([(test, seconds) for *_, seconds, test in sorted(ranked)], limit)
 
 
-def is_found(mutant: Mutant, record: Record, limit: float) -> bool:
-    """Whether a test, or the compiler, finds the error."""
+def tests_reaching(numbers: list[int], reached: Record, limit: float) -> list[str]:
+    """The tests that reach one of some errors in C++, the quick ones first."""
+    names = {str(number) for number in numbers}
+    reaching = ((row["seconds"], test) for test, row in reached.items() if names.intersection(row["calls"]))
+    return within([(test, seconds) for seconds, test in sorted(reaching)], limit)
+
+
+def within(tests: list[tuple[str, float]], limit: float) -> list[str]:
+    """The first tests, as far as their times are not more than a limit together; the first in any case."""
+    spent = itertools.accumulate(seconds for _, seconds in tests)
+    return [test for k, ((test, _), seconds) in enumerate(zip(tests, spent, strict=True)) if k == 0 or seconds < limit]
+
+
+def is_found(mutant: Mutant, tests: list[str]) -> bool:
+    """Whether one of some tests, or the compiler, finds the error."""
     target = WORK / mutant.file
     original = target.read_text(encoding="utf-8")
     target.write_text(mutant.text, encoding="utf-8")
@@ -279,7 +296,7 @@ def is_found(mutant: Mutant, record: Record, limit: float) -> bool:
     try:
         if mutant.file.suffix != ".py" and build() is not None:
             return True
-        return tests_fail(tests_of(mutant, record, limit), None)
+        return tests_fail(tests, None)
     finally:
         target.write_text(original, encoding="utf-8")
         forget_compiled(target)
@@ -294,7 +311,7 @@ def forget_compiled(file: Path) -> None:
 def tests_fail(tests: list[str], number: int | None) -> bool:
     """Whether a test fails in the copy as it is, with an error of the core chosen by its number."""
     files = dict.fromkeys(test.partition("::")[0] for test in tests)
-    return run_pytest(["-x", *files], Order(tests), number) != 0
+    return bool(tests) and run_pytest(["-x", *files], Order(tests), number) != 0
 
 
 def build() -> str | None:
@@ -344,21 +361,29 @@ def seed_errors(args: argparse.Namespace, record: Record) -> dict[str, list[bool
         share = args.count * (k + 1) // len(args.subpackages) - args.count * k // len(args.subpackages)
         chosen = rng.sample(mutants, min(share, len(mutants)))
         originals = {file: (WORK / file).read_text(encoding="utf-8") for file in {mutant.file for mutant in chosen}}
-        together = build_switched(chosen) if subpackage == CXX else []
-        quick = sorted(record, key=lambda test: record[test]["seconds"])[:100]
-        if together and tests_fail(quick, None):
-            raise SystemExit(f"tests fail in a core without an error:\n{(WORK / 'output.txt').read_text()[-4000:]}")
+        if subpackage == CXX:
+            judged = judge_cxx(chosen, originals, args.seconds)
+        else:
+            judged = ((mutant, is_found(mutant, tests_of(mutant, record, args.seconds))) for mutant in chosen)
         verdicts = tally.setdefault(subpackage, [])
-        for number, mutant in enumerate(together):
-            verdicts.append(tests_fail(tests_of(mutant, record, args.seconds), number))
-            print_verdict(mutant, originals[mutant.file], verdicts[-1])
-        for file, text in originals.items():
-            (WORK / file).write_text(text, encoding="utf-8")
-        for mutant in chosen:
-            if mutant not in together:
-                verdicts.append(is_found(mutant, record, args.seconds))
-                print_verdict(mutant, originals[mutant.file], verdicts[-1])
+        for mutant, found in judged:
+            verdicts.append(found)
+            print_verdict(mutant, originals[mutant.file], found)
     return tally
+
+
+def judge_cxx(mutants: list[Mutant], originals: dict[Path, str], limit: float) -> Iterator[tuple[Mutant, bool]]:
+    """Whether the tests that reach each error in C++ find it; for one that is compiled alone, those that reach its file."""
+    together = build_switched(mutants)
+    reached = run_recorded([f"tests/{folder}" for folder in CXX_TESTS], reached_errors)
+    for number, mutant in enumerate(together):
+        yield mutant, tests_fail(tests_reaching([number], reached, limit), number)
+    for file, text in originals.items():
+        (WORK / file).write_text(text, encoding="utf-8")
+    for mutant in mutants:
+        if mutant not in together:
+            same_file = [number for number, other in enumerate(together) if other.file == mutant.file]
+            yield mutant, is_found(mutant, tests_reaching(same_file or [*range(len(together))], reached, limit))
 
 
 def print_verdict(mutant: Mutant, original: str, found: bool) -> None:

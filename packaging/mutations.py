@@ -141,9 +141,19 @@ def cxx_mutants(file: Path, text: str) -> list[Mutant]:
 CXX_NO_CHOICE = re.compile(r"constexpr|static |\bcase |template|: public|#")
 # Where an expression of C++ begins and ends, beside brackets and commas.
 CXX_BEGIN = re.compile(r"(return|[{;(,]| [-+*/]?=) $")
+# Each place with an error notes in a shared file of one byte for each error that it was reached.
+CXX_MOST = 4096  # errors in one build
 CXX_SWITCH = """#pragma once
 #include <cstdlib>
+#include <fcntl.h>
+#include <sys/mman.h>
 inline const int seeded_error = [] { const char* text = std::getenv("SEEDED_ERROR"); return text ? std::atoi(text) : -1; }();
+inline volatile char* const reached_errors = static_cast<volatile char*>(
+    mmap(nullptr, 4096, PROT_READ | PROT_WRITE, MAP_SHARED, open(std::getenv("SEEDED_REACHED"), O_RDWR), 0));
+inline bool is_seeded(int number) {
+    reached_errors[number] = 1;
+    return number == seeded_error;
+}
 """
 
 
@@ -160,7 +170,7 @@ def switched(before: str, after: str, number: int) -> str | None:
     begin = same - back
     end = len(before) - rest + forward
     one, other = before[begin:end], after[begin : end + len(after) - len(before)]
-    return f"{before[:begin]}(seeded_error == {number} ? ({other}) : ({one})){before[end:]}"
+    return f"{before[:begin]}(is_seeded({number}) ? ({other}) : ({one})){before[end:]}"
 
 
 def common_length(one: str, other: str) -> int:
