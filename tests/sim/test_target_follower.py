@@ -154,3 +154,15 @@ def test_a_goal_for_which_the_motors_are_too_weak_is_refused_with_the_reason():
     assert watched.status.activity is Activity.BLOCKED
     assert "the limit is 3.4 N m; take a lighter payload" in watched.status.refusal
     assert weak.limits.contains(watched.status.q)
+
+
+def test_an_orientation_out_of_reach_is_said_even_where_differential_kinematics_swings_about_it():
+    session = RealTimeSession(armctl.load(BUNDLED))
+    session.set_oriented(True)
+    session.aim(Pose([0.2, 0.2, 0.35], rpy=[2.5, 0.3, 0.0]))
+    for _ in range(round(4.0 / UPDATE_INTERVAL_S)):
+        session.advance()
+    status = session.status
+    assert status.activity is Activity.OUT_OF_REACH
+    assert describe(status) == "this orientation is out of reach here"
+    assert status.position_error < 1e-3

@@ -24,6 +24,10 @@ from armctl.sim.obstacles import Obstacles
 from armctl.sim.realtime.follower_reference import FollowerReference
 
 _IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
+# Differential IK may swing about the nearest pose to an orientation out of reach. It gets nowhere if, in so many seconds, the
+# joints get less far than a share of their way.
+_SWING_S = 0.5
+_SWING_SHARE = 0.1
 _MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
 _CLEARANCE_M = 1e-3  # of a reference that follows live: half of what a planned path keeps
 PATH_POINTS = 100
@@ -145,6 +149,7 @@ class TargetFollower:
         self._held = held
         self._finished = False
         self._is_new = True
+        self._begin_swing()
         self.reach_error: float | None = None
         self.refusal = ""
         self.path: PlannedPath | None = None
@@ -182,7 +187,7 @@ class TargetFollower:
             return
         rate = self._velocity(target, interval)
         is_free = self._approach(self.arm.limits.clamp(self.joint_goal + interval * rate))
-        if not is_free or np.abs(rate).max() > _IK_AT_REST_SPEED:
+        if not is_free or (np.abs(rate).max() > _IK_AT_REST_SPEED and not self._swings(rate, interval)):
             return
         self._finished = True
         solution = solve_ik(self.arm, target, self.joint_goal)
@@ -191,6 +196,21 @@ class TargetFollower:
             self._finished = self._approach(solution.q)
         if not solution.ok:
             self.reach_error = solution.position_error
+
+    def _begin_swing(self) -> None:
+        self._swing_start = self.joint_goal
+        self._swing_way = np.zeros(self.arm.n)
+        self._swing_time = 0.0
+
+    def _swings(self, rate: Array, interval: float) -> bool:
+        """Whether the joint goal moves to and fro, as seen after each half second."""
+        self._swing_way += interval * np.abs(rate)
+        self._swing_time += interval
+        if self._swing_time < _SWING_S:
+            return False
+        swings = np.abs(self.joint_goal - self._swing_start).max() < _SWING_SHARE * self._swing_way.max()
+        self._begin_swing()
+        return bool(swings)
 
     def _velocity(self, target: Target, interval: float) -> Array:
         """(n,) rad/s, by differential inverse kinematics. It is made at its first use, because its imports take long."""
