@@ -49,19 +49,19 @@ $(VENV)/run.stamp: pyproject.toml
 	@$(PYTHON) -m venv $(VENV) || { \
 	  echo "$(PYTHON) could not make a virtual environment in $(VENV). On Debian and Ubuntu: apt-get install python3-venv"; exit 1; }
 	@# The tools of the build are installed first, so that the build can print what it does: pip hides what a build prints.
-	@$(BIN)/python -m pip install --quiet $$($(PYTHON) packaging/build_backend/requirements.py) || { \
+	@$(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py) || { \
 	  echo "pip could not install the tools that build the compiled core; its reason is above."; exit 1; }
 	@$(BUILD_CORE)
 	@echo "installing armctl, its dependencies and the viewer into $(VENV): once, 1 GB, half a minute to two minutes"
 	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
 	@$(BIN)/python -m pip uninstall --quiet --quiet --yes armctl
-	@$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[view]' || { \
+	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[view]' || { \
 	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp
 	@echo "installing what the tests need into $(VENV): once, 1.7 GB more, half a minute"
-	@$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[dev]' || { \
+	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[dev]' || { \
 	  echo "pip could not install the tools that pyproject.toml names under dev; its reason is above."; exit 1; }
 	@touch $@
 
@@ -136,7 +136,7 @@ examples: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@touch $@
 
 franka-sim: $(VENV)/dev.stamp $(VENV)/core.stamp .franka-sim/stamp
-	@$(BIN)/pip install --quiet --no-build-isolation --editable '.[franka]' && $(BIN)/python -m pytest tests/links/test_franka_sim.py -n 0 -rP
+	@$(BIN)/pip install --quiet --no-compile --no-build-isolation --editable '.[franka]' && $(BIN)/python -m pytest tests/links/test_franka_sim.py -n 0 -rP
 
 # With MINUTES the tests take this time together. Without it they take ten minutes, and the motions go on until all are made.
 fuzz: SEED ?= 0
