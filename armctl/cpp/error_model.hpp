@@ -47,7 +47,9 @@ public:
     }
 
     // The model at q: error, Jacobian of the error, gradient and J^T J. Returns the errors in reaches and rad.
-    PoseError linearize(const Goal& goal, Vector q, double rotation_weight = ROTATION_WEIGHT) {
+    //
+    // The weight of the rotation is divided by 1 + `position_priority` times the position error (up to one reach).
+    PoseError linearize(const Goal& goal, Vector q, double rotation_weight = ROTATION_WEIGHT, double position_priority = 0.0) {
         kinematics_.place(q);
         kinematics_.find_jacobian();
         const Pose& tip = kinematics_.tip();
@@ -55,7 +57,7 @@ public:
         error_.linear = goal.pose.translation - tip.translation;
         error_.angular = is_oriented ? rotation_error(goal) : Vec3{};
         const PoseError error{norm(error_.linear), norm(error_.angular)};
-        const double weight = is_oriented ? rotation_weight : 0.0;
+        const double weight = is_oriented ? rotation_weight / (1.0 + position_priority * std::min(1.0, error.position)) : 0.0;
         error_.angular = weight * error_.angular;
         std::vector<Twist>& J = kinematics_.jacobian();
         for (size_t i = 0; i < n_; ++i) {
