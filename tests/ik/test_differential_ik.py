@@ -17,6 +17,7 @@ from collidable import arm_among, capsule_gaps, placed
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose
 from armctl.collision.checkers import collision_checker
+from armctl.core.pose import rotation_from_vector
 from armctl.ik.differential import QuadraticProgram
 from armctl.ik.tasks import ClearanceLimit, null_step
 from armctl.loading.catalog import BUNDLED
@@ -146,6 +147,27 @@ def test_damping_rises_near_a_singularity():
     assert speeds[0] > 0.5
     assert all(a >= b - 1e-3 for a, b in pairwise(speeds))
     assert speeds[-1] < 0.2 * speeds[0]
+
+
+@pytest.mark.parametrize("far", [0.02, 0.2, 0.5])  # m
+def test_the_nearer_the_point_the_more_the_orientation_counts(far: float):
+    """One radian counts like a third of a reach at the point, and less by 1 + 10 times the distance from it in reaches."""
+    arm = arm_of("six joints")
+    q = positions(arm, 1)[0]
+    T = arm.fk(q)
+    J = arm.jacobian(q)
+    ik = DifferentialIk(arm, posture_gain=0.0)
+    offset = np.array([0.0, 0.6 * far, 0.8 * far])
+
+    def gradient(turn: np.ndarray) -> np.ndarray:
+        ik.step(q, Pose.from_rotation(T.position + offset, rotation_from_vector(turn) @ T.rotation), DT)
+        return ik.tip.compute_qp_objective(ik.configuration).c[arm.dof_adr]
+
+    turn = np.array([0.06, -0.08, 0.05])
+    of_position = gradient(np.zeros(3))
+    reach = np.sqrt(np.linalg.norm(J[:3].T @ offset) / np.linalg.norm(of_position))
+    weight = 1 / 3 / (1 + 10 * far / reach)
+    np.testing.assert_allclose(gradient(turn) - of_position, -(weight**2) * J[3:].T @ turn, rtol=1e-9, atol=1e-12)
 
 
 def test_further_tasks_limits_and_constraints_pass_through():
