@@ -19,6 +19,7 @@ from armctl.robot.arm import Arm, check_arm
 
 MAX_DEGREE = 5  # of the polynomials in the core
 _NO_PAIRS_M = np.inf
+_UNDECIDED_M = 3e-4  # a distance that exceeds the clearance by more was not the reason why a proof stopped
 
 
 @runtime_checkable
@@ -139,7 +140,9 @@ def clearance_of(
     q = trajectory(hit.time).q
     pair, distance = checker.nearest(q)
     first, second = checker.names(pair)
-    if distance > 0.0:
+    if distance > clearance + _UNDECIDED_M:
+        what = f"the motion is too long for a proof; {second} comes within {1e3 * distance:.2f} mm of {first}"
+    elif distance > 0.0:
         what = f"{second} comes within {1e3 * distance:.2f} mm of {first}, {1e3 * clearance:.2f} mm are required"
     else:
         distance = -max(checker.depth(q, pair), 0.0)

@@ -6,7 +6,9 @@
 
 namespace armctl {
 
-constexpr size_t MAX_INTERVALS = 8192;  // intervals and open pairs that wait, at most: beyond that a motion counts as not free
+constexpr size_t MAX_WAITING = 8192;      // intervals that wait, about: then the search goes on depth first
+constexpr size_t MAX_INTERVALS = 100000;  // in all, at most, and more for each piece of the motion: beyond that it counts as not free
+constexpr size_t MAX_INTERVALS_PER_PIECE = 1000;
 constexpr size_t OPEN_PAIRS_PER_PAIR = 400;
 constexpr size_t MIN_OPEN_PAIRS = 4096;
 constexpr double MIN_MOTION_M = 1e-4;  // an interval in which no point moves farther is not split again: the pair then counts as not free
@@ -219,6 +221,7 @@ private:
     // Notes the whole motion as the first interval.
     void begin_proof(std::optional<size_t> only_pair) {
         head_ = 0;
+        checked_ = 0;
         intervals_.clear();
         open_pairs_.clear();
         if (only_pair) { open_pairs_.push_back({*only_pair, false}); }
@@ -234,12 +237,13 @@ private:
 
     // Settles intervals until none is left or a pair is not free; the joints are then where it is.
     //
-    // Intervals are split breadth first, so that contacts are found early, and both parts inherit the pairs that are open. A proof
-    // that stopped goes on with the same interval.
+    // Intervals are split breadth first, so that contacts are found early, and depth first as long as many wait. Both parts inherit
+    // the pairs that are open. A proof that stopped goes on with the same interval.
     std::optional<Hit> continue_proof(double clearance) {
         while (head_ < intervals_.size()) {
-            if (!has_room()) { move_to_front(); }
-            const Interval interval = intervals_[head_];
+            if (!has_room() && 2 * head_ > intervals_.size()) { move_to_front(); }
+            const bool takes_last = !has_room();
+            const Interval interval = takes_last ? intervals_.back() : intervals_[head_];
             const double middle = 0.5 * (interval.begin + interval.end);
             if (interval.first_piece == interval.last_piece) {
                 motion_.bound_interval(interval.first_piece, middle - motion_.knot(interval.first_piece),
@@ -247,7 +251,9 @@ private:
             } else {
                 motion_.bound_pieces(interval.first_piece, interval.last_piece, middle, positions_, delta_);
             }
-            if (!has_room()) { return Hit{scene_->nearest_pair(positions_).pair, middle}; }
+            if (++checked_ > MAX_INTERVALS + MAX_INTERVALS_PER_PIECE * motion_.pieces()) {
+                return Hit{scene_->nearest_pair(positions_).pair, middle};
+            }
             const size_t first_open = open_pairs_.size();
             const std::optional<size_t> not_free = check_interval(interval, clearance);
             if (not_free) {
@@ -259,15 +265,23 @@ private:
                 open_pairs_.resize(first_open);
                 return Hit{scene_->no_pair(), middle};
             }
-            ++head_;
-            if (open_pairs_.size() > first_open || tilt == Tilt::open) { split(interval, first_open, tilt == Tilt::open); }
+            if (takes_last) {
+                intervals_.pop_back();
+            } else {
+                ++head_;
+            }
+            if (open_pairs_.size() > first_open || tilt == Tilt::open) {
+                split(interval, first_open, tilt == Tilt::open);
+            } else if (takes_last) {
+                open_pairs_.resize(head_ < intervals_.size() ? intervals_.back().last_open : 0);
+            }
         }
         return std::nullopt;
     }
 
     bool has_room() const {
         const size_t needed = scene_->model().pairs.size() + scene_->model().groups.size();
-        return intervals_.size() + 2 <= MAX_INTERVALS && open_pairs_.size() + needed <= max_open_pairs_;
+        return intervals_.size() + 2 <= MAX_WAITING && open_pairs_.size() + needed <= max_open_pairs_;
     }
 
     // Removes the intervals that are settled, and their open pairs.
@@ -409,6 +423,7 @@ private:
     PolynomialMotion motion_;
     std::optional<KeptAxis> keep_;
     size_t max_open_pairs_;
+    size_t checked_ = 0;  // intervals since the proof began
     // The intervals from `head_` on wait.
     std::vector<Interval> intervals_;
     size_t head_ = 0;

@@ -64,6 +64,25 @@ def test_no_pair_is_ever_nearer_by_mujocos_distances_than_the_bound(arm):
         assert least[-1] < check.distance + 2.2e-4
 
 
+def test_a_motion_that_is_repeated_a_hundred_times_comes_as_near_as_once(arm):
+    """More intervals wait than the search may keep."""
+    first, *others = free_configurations(arm, 30)
+    moves = [armctl.move_j(arm, first, q) for q in others]
+    free = next(move for move in moves if armctl.check_clearance(arm, move, 2e-3))
+    once = free.then(armctl.move_j(arm, free(free.duration).q, first))
+    near = armctl.check_clearance(arm, once)
+    often = once
+    for _ in range(7):
+        often = often.then(often)
+    check = armctl.check_clearance(arm, often)
+    assert check, check.reason
+    assert check.distance == pytest.approx(near.distance, abs=2e-4)
+    assert armctl.check_clearance(arm, often, clearance=near.distance - 1e-6)
+    touching = next(move for move in moves if not armctl.check_clearance(arm, move))
+    refused = armctl.check_clearance(arm, often.then(touching), clearance=near.distance - 1e-6)
+    assert refused.time > often.duration
+
+
 def test_it_sees_what_no_sample_sees(tmp_path):
     """A plate thinner than a sample's step."""
     arm = arm_among(tmp_path, '<geom name="sheet" type="box" size="0.3 0.0001 0.3" pos="0.5 0.3 0.6"/>')
