@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,28 @@ def test_it_goes_around_a_wall_that_the_straight_move_runs_into(arm):
     np.testing.assert_allclose(motion(0.0).q, START, atol=1e-12)
     np.testing.assert_allclose(motion(motion.duration).q, GOAL, atol=1e-12)
     np.testing.assert_allclose(motion(motion.duration).v, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_way_around_has_no_shortcut(arm, seed):
+    """The straight line between two places on the way saves little wherever it is free."""
+    motion = armctl.move_free(arm, START, GOAL, seed=seed)
+    q = motion.sample(np.linspace(0.0, motion.duration, 400)).q
+    way = np.append(0.0, np.linalg.norm(np.diff(q, axis=0), axis=1).cumsum())
+    checker = collision_checker(arm)
+    pairs = np.sort(np.random.default_rng(seed).integers(0, len(q), (300, 2)))
+    free = [(i, j) for i, j in pairs if checker.line_hit(q[i], q[j], 2e-3) is None]
+    assert len(free) > 50
+    assert max(way[j] - way[i] - np.linalg.norm(q[j] - q[i]) for i, j in free) < 0.1 * way[-1]
+
+
+def test_weak_motors_make_the_way_around_slower_and_not_stop_on_it(arm):
+    weak = arm.with_limits(replace(arm.limits, tau_max=0.25 * arm.limits.tau_max))
+    motion = armctl.move_free(weak, START, GOAL)
+    assert_free(weak, motion)
+    assert motion.duration > 1.5 * armctl.move_free(arm, START, GOAL).duration
+    inside = motion.sample(np.linspace(0.05, 0.95, 300) * motion.duration)
+    assert np.abs(inside.v).max(axis=1).min() > 0.02
 
 
 def test_it_starts_while_the_arm_moves_and_goes_around_the_wall(arm):

@@ -1,12 +1,14 @@
 """Several arms: planned together, proved against each other, and refused with names."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 import armctl
 from armctl.collision.checkers import collision_checker
-from armctl.planning.team import ArmGroup, combined
+from armctl.planning.team import ArmGroup, combined, plan_together
 
 LINKS = (("0 0 1", 0.1), ("0 1 0", 0.3), ("0 1 0", 0.25), ("0 1 0", 0.1))
 
@@ -39,6 +41,7 @@ def arms(tmp_path_factory) -> tuple[armctl.Arm, ...]:
 
 LEFT_INWARDS = np.array([0.0, 0.8, 0.3, 0.0])
 RIGHT_INWARDS = np.array([0.0, -0.8, -0.3, 0.0])
+UP = np.array([0.5, 0.3, 0.2, 0.0])
 
 
 def team_at(arms, left: np.ndarray, right: np.ndarray) -> armctl.Team:
@@ -55,11 +58,30 @@ def touches(team: armctl.Team) -> list[str]:
 
 def test_arms_exchange_places_without_contact(arms):
     left, right = arms
-    up = np.array([0.5, 0.3, 0.2, 0.0])
-    team = team_at(arms, LEFT_INWARDS, -up)
-    results = team.move_to({"left_tip": left.fk(up), "right_tip": right.fk(RIGHT_INWARDS)})
+    team = team_at(arms, LEFT_INWARDS, -UP)
+    results = team.move_to({"left_tip": left.fk(UP), "right_tip": right.fk(RIGHT_INWARDS)})
     assert all(result.ok for result in results.values()), results
     assert touches(team) == []
+
+
+def exchanged(arms: tuple[armctl.Arm, ...]) -> list[armctl.JointTrajectory]:
+    """The arms exchange places, planned together: each straight way would touch the other arm."""
+    group = ArmGroup.of(arms)
+    left, right = arms
+    starts = {left.tip: LEFT_INWARDS, right.tip: -UP}
+    solutions = {left.tip: [UP], right.tip: [RIGHT_INWARDS]}
+    checker = collision_checker(group, group.home_qpos)
+    return list(plan_together(checker, {arm.tip: arm for arm in arms}, starts, solutions, 1.0).values())
+
+
+def test_where_motors_are_weak_both_arms_are_slower_by_one_factor_that_is_hardly_more_than_needed(arms):
+    left, right = arms
+    weak = left.with_limits(replace(left.limits, tau_max=0.12 * left.limits.tau_max))
+    slow = exchanged((weak, right))
+    factors = [motion.duration / full.duration for motion, full in zip(slow, exchanged(arms), strict=True)]
+    assert factors[0] == pytest.approx(factors[1])
+    assert factors[0] > 1.2
+    assert 0.9 < armctl.check_torque(weak, slow[0]).ratio <= 1.0
 
 
 def test_targets_in_the_same_place_are_refused_with_the_bodies(arms):
