@@ -88,6 +88,18 @@ def test_latency_is_predicted_away(arm):
     assert abs(lag) < 0.02
 
 
+def test_a_target_that_sets_off_at_half_the_arms_acceleration_is_no_jump(arm):
+    """It is predicted, not taken for a new target at rest: 0.1 rad behind while it goes 0.22 rad in 0.3 s."""
+    start = 0.5 * (arm.limits.q_min + arm.limits.q_max) - 0.3
+
+    def wanted(t: float) -> np.ndarray:
+        faster, slower = np.clip([t - 1.0, t - 1.15], 0.0, 0.15)
+        return start + 0.5 * arm.limits.a_max * (0.5 * faster**2 + 0.15 * slower - 0.5 * slower**2)
+
+    worst, _, _ = followed(arm, wanted, 2.0)
+    assert worst < 0.12
+
+
 def test_a_chunk_is_passed_at_its_times_and_the_arm_rests_at_its_end(arm):
     times = 0.2 + 0.05 * np.arange(20)
     rows = np.array([sine(arm, 0.2, 0.4)(t) for t in times])
