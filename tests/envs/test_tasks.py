@@ -291,6 +291,25 @@ def test_a_table_is_ahead_of_the_arm_wherever_its_home_looks(gripping, turn):
     assert headings[1] - headings[0] == pytest.approx(turn, abs=1e-6)
 
 
+def test_over_the_table_no_joint_is_near_its_limits(gripping):
+    arm = armctl.load(gripping)
+    state = mujoco.MjData(arm.model)
+    state.qpos[:] = arm.home_qpos
+    mujoco.mj_forward(arm.model, state)
+    tool = find_tool(arm, [state])
+
+    def corners(arm: armctl.Arm) -> np.ndarray:
+        _, found = next(find_table(arm, tool, low=0.05, lift=0.05, margin=0.02, height=0.05, task="Push"))
+        return np.array(found)
+
+    highest = corners(arm).max(axis=0)
+    for joint in range(arm.n):
+        q_max = np.where(np.arange(arm.n) == joint, highest + 0.03, arm.limits.q_max)
+        near = arm.with_limits(replace(arm.limits, q_max=np.minimum(q_max, arm.limits.q_max)))
+        with contextlib.suppress(armctl.InputError):  # there may be no other place
+            assert (corners(near) <= near.limits.q_max - 0.05).all(), joint
+
+
 def test_an_arm_that_does_not_fit_is_refused_in_one_sentence():
     for options, message in (
         ({"robot": ROBOT, "task": "PickPlace"}, "needs a gripper"),
