@@ -256,6 +256,32 @@ def test_a_clutch_moves_neither_hand_nor_arm():
     assert end.rotation == pytest.approx(start.rotation, abs=1e-4)
 
 
+def test_the_report_tells_the_share_of_time_at_each_limit(arm):
+    stream = armctl.Stream(arm, arm.limits.q_min)
+    stream.push_chunk([stream.t + 1e-3], [arm.limits.q_max])
+    points = [stream.step(1e-3) for _ in range(2000)]
+    near = 1 - 1e-9
+    at_velocity = np.mean([(np.abs(point.v) >= near * arm.limits.v_max).any() for point in points])
+    at_acceleration = np.mean([(np.abs(point.a) >= near * arm.limits.a_max).any() for point in points])
+    assert 0.05 < at_velocity < 0.95
+    assert 0.01 < at_acceleration < 0.95
+    assert stream.report.at_velocity_limit == pytest.approx(at_velocity, abs=0.02)
+    assert stream.report.at_acceleration_limit == pytest.approx(at_acceleration, abs=0.02)
+
+
+def test_the_rows_for_the_tick_loop_join_without_a_gap(arm):
+    """Their velocity is the difference of positions, from the first row of the first call on."""
+    stream = armctl.Stream(arm, arm.home)
+    stream.push_chunk([0.5], [arm.home + 0.3])
+    stream.step(0.1)
+    rows = [stream.reference(ticks, DT) for ticks in (1, 5, 30)]
+    v, v_tick, a_tick = (np.vstack([getattr(row, name) for row in rows]) for name in ("v", "v_tick", "a_tick"))
+    assert np.abs(v).max() > 0.3
+    assert v_tick == pytest.approx(v, abs=0.6 * DT * np.abs(arm.limits.a_max).max())
+    assert v_tick[0] == pytest.approx(v[0], abs=1e-12)
+    assert a_tick[:-1] == pytest.approx(np.diff(v_tick, axis=0) / DT, abs=1e-9)
+
+
 def test_the_arm_stops_before_an_obstacle_and_the_report_names_it(arm_before_a_wall):
     arm = arm_before_a_wall
     stream = armctl.Stream(arm, arm.home, avoid=True)
