@@ -4,7 +4,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-WORKERS ?= auto
+# Of the tests: one more than there are cores, for some tests wait for browsers and other processes.
+WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # Arguments of pytest.
 TESTS ?=
 BUILD_CORE := $(BIN)/python packaging/build_backend/armctl_build.py
@@ -51,8 +52,10 @@ $(VENV)/run.stamp: pyproject.toml
 	@# The tools of the build are installed first, so that the build can print what it does: pip hides what a build prints.
 	@$(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py) || { \
 	  echo "pip could not install the tools that build the compiled core; its reason is above."; exit 1; }
-	@$(BUILD_CORE)
-	@echo "installing armctl, its dependencies and the viewer into $(VENV): once, 1 GB, half a minute to two minutes"
+	@echo "installing the dependencies and the viewer into $(VENV): once, 1 GB, half a minute to two minutes"
+	@$(BUILD_CORE) & build=$$!; \
+	  $(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py --run view); \
+	  wait $$build
 	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
 	@$(BIN)/python -m pip uninstall --quiet --quiet --yes armctl
 	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[view]' || { \

@@ -90,6 +90,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         left_out = [item for item in items if test_id(item) in noted]
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if test_id(item) not in noted]
+    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None)  # what one worker runs alone must not come last
 
 
 def pytest_report_header() -> str:

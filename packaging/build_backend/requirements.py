@@ -1,5 +1,9 @@
-"""Prints what the build of the compiled core needs, for `pip install`. Imports the standard library only."""
+"""Prints what the build of the compiled core needs, or `--run EXTRA` what armctl needs with an extra, for `pip install`.
 
+Imports the standard library only.
+"""
+
+import argparse
 import tomllib
 from pathlib import Path
 
@@ -11,8 +15,15 @@ TOOLS = ("cmake>=3.20", "ninja>=1.11")
 
 def main() -> None:
     """Prints the requirements."""
-    build_system = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]
-    print(*build_system["requires"], *TOOLS, *([] if has_compiler() else [ZIG_REQUIREMENT]), sep="\n")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--run", metavar="EXTRA")
+    extra = parser.parse_args().run
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    if extra:
+        project = settings["project"]
+        print(*project["dependencies"], *project["optional-dependencies"][extra], sep="\n")
+    else:
+        print(*settings["build-system"]["requires"], *TOOLS, *([] if has_compiler() else [ZIG_REQUIREMENT]), sep="\n")
 
 
 if __name__ == "__main__":
