@@ -16,7 +16,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test core stubs sanitize lint format types docs pytest lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
+.PHONY: help demo test core build-core install-dependencies stubs sanitize lint format types docs pytest lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
 
 help:
 	@echo "make demo      the bundled arm moves to the green target and prints a report"
@@ -53,14 +53,20 @@ $(VENV)/run.stamp: pyproject.toml
 	@$(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py) || { \
 	  echo "pip could not install the tools that build the compiled core; its reason is above."; exit 1; }
 	@echo "installing the dependencies and the viewer into $(VENV): once, 1 GB, half a minute to two minutes"
-	@$(BUILD_CORE) & build=$$!; \
-	  $(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py --run view); \
-	  wait $$build
+	@$(MAKE) --no-print-directory --jobs 2 build-core install-dependencies
 	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
 	@$(BIN)/python -m pip uninstall --quiet --quiet --yes armctl
 	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[view]' || { \
-	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
+	  echo "pip could not install armctl; its reason is above."; exit 1; }
 	@touch $@
+
+# Both at once: the compiler uses two cores only part of the time, and pip one.
+build-core:
+	@$(BUILD_CORE)
+
+install-dependencies:
+	@$(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py --run view) || { \
+	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp
 	@echo "installing what the tests need into $(VENV): once, 1.7 GB more, half a minute"
