@@ -35,7 +35,8 @@ def test_a_push_stops_the_arm_on_its_path_within_its_limits(real_time, tmp_path)
         log = robot.run(motion)
         assert log.failure.startswith("contact at ")
         assert "from outside at shoulder" in robot.reaction.contact
-        assert real_time or 0.4 < robot.reaction.time < 0.43
+        assert robot.reaction.time > 0.4
+        assert real_time or robot.reaction.time < 0.43
         q = log.q_ref
         assert np.abs(q[-1] - motion.sample(np.array([motion.duration])).q[0]).max() > 0.1
         if not real_time:  # where ticks are lost, the log has straight lines
