@@ -8,12 +8,20 @@ BIN := $(VENV)/bin
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # Arguments of pytest.
 TESTS ?=
+# One process runs a file: what its tests share is made once.
+BY_FILE := --dist loadfile --no-loadscope-reorder
+# What is installed: for users, or for tests as well.
+EXTRA := $(if $(filter-out demo core outputs,$(or $(MAKECMDGOALS),demo)),dev,view)
+PARTS_view := the dependencies and the viewer into $(VENV): once, 1 GB
+PARTS_dev := the dependencies, the viewer and what the tests need into $(VENV): once, 2.7 GB
 BUILD_CORE := $(BIN)/python packaging/build_backend/armctl_build.py
 CXX_SOURCES := $(shell find armctl/cpp -name '*.[ch]pp')
 CORE_SOURCES := CMakeLists.txt $(CXX_SOURCES)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
+# pip compiles no modules; Python keeps those that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test core build-core install-dependencies stubs sanitize lint format types docs pytest lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
@@ -52,25 +60,26 @@ $(VENV)/run.stamp: pyproject.toml
 	@# The tools of the build are installed first, so that the build can print what it does: pip hides what a build prints.
 	@$(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py) || { \
 	  echo "pip could not install the tools that build the compiled core; its reason is above."; exit 1; }
-	@echo "installing the dependencies and the viewer into $(VENV): once, 1 GB, half a minute to two minutes"
-	@$(MAKE) --no-print-directory --jobs 2 build-core install-dependencies
+	@echo "installing $(PARTS_$(EXTRA)), half a minute to two minutes"
+	@$(MAKE) --no-print-directory --jobs 2 build-core install-dependencies EXTRA=$(EXTRA)
 	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
 	@$(BIN)/python -m pip uninstall --quiet --quiet --yes armctl
-	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[view]' || { \
+	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[$(EXTRA)]' || { \
 	  echo "pip could not install armctl; its reason is above."; exit 1; }
-	@touch $@
+	@echo $(EXTRA) >$@
 
 # Both at once: the compiler uses two cores only part of the time, and pip one.
 build-core:
 	@$(BUILD_CORE)
 
 install-dependencies:
-	@$(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py --run view) || { \
+	@$(PYTHON) packaging/build_backend/requirements.py --run $(EXTRA) | $(BIN)/python -m pip install --quiet --no-compile -r /dev/stdin || { \
 	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp
-	@echo "installing what the tests need into $(VENV): once, 1.7 GB more, half a minute"
-	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[dev]' || { \
+	@grep -q dev $< || { \
+	  echo "installing what the tests need into $(VENV): once, 1.7 GB more, half a minute"; \
+	  $(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[dev]'; } || { \
 	  echo "pip could not install the tools that pyproject.toml names under dev; its reason is above."; exit 1; }
 	@touch $@
 
@@ -124,7 +133,7 @@ docs: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@echo "docs/_build/index.html is up to date"
 
 pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
-	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
+	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
 # uv installs the lowest versions; pip cannot.
 .lowest/stamp: pyproject.toml
@@ -134,7 +143,7 @@ pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@touch $@
 
 lowest: .lowest/stamp
-	@.lowest/bin/python -m pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above"; exit 1; }
+	@.lowest/bin/python -m pytest -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above"; exit 1; }
 
 examples: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8

@@ -23,12 +23,13 @@ import hypothesis
 import mujoco
 import pytest
 from arms import ARMS, MISSING, ROBOTS, arm_of
-from robot_notes import RobotNotes, test_id
+from robot_notes import RobotNotes
 from synthetic import mjcf
 
 import armctl
 
-mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), 100_000_000)  # bytes of meshes of earlier models; 500 MB by default
+_MEMORY = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 8_000_000_000  # bytes
+mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), _MEMORY // 16)  # of a worker: meshes of earlier models, 0.9 GB of all robots
 
 hypothesis.settings.register_profile("armctl", deadline=None, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("armctl")
@@ -87,10 +88,10 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.option.skip_noted:
         noted = set(config.option.skip_noted.read_text(encoding="utf-8").splitlines())
-        left_out = [item for item in items if test_id(item) in noted]
+        left_out = [item for item in items if item.nodeid in noted]
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if test_id(item) not in noted]
-    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None)  # what one worker runs alone must not come last
+        items[:] = [item for item in items if item.nodeid not in noted]
+    items.sort(key=lambda item: item.path.name != "test_page.py")  # it mostly waits, so it must not come last
 
 
 def pytest_report_header() -> str:

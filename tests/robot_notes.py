@@ -15,12 +15,6 @@ NOTES_OF_PROCESSES = "ARMCTL_TEST_NOTES"
 _HOOK = Path(__file__).parent / "process_hook"
 
 
-def test_id(item: pytest.Item) -> str:
-    """A test's file and name; xdist adds the name of a group to `nodeid`."""
-    file, _, name = item.location
-    return f"{file}::{name}"
-
-
 class RobotNotes:
     """A plugin that appends the tests to a file that asked for no installed robot.
 
@@ -72,7 +66,7 @@ class RobotNotes:
         before = self._count()
         result = yield
         if self._count() == before and not self._fixtures.intersection(item.fixturenames):
-            self._independent.append(test_id(item))
+            self._independent.append(item.nodeid)
         return result
 
     def pytest_sessionfinish(self) -> None:

@@ -196,13 +196,25 @@ class CompiledController(ABC):
                 these joints.
         """
         instance("state", state, State, _STATE_HINT)
-        period = (state.dt, state.continuous)
-        law = self._law
-        if law is None or self._period != period:
-            law = self._replace_law(self.make_law(*checked_period(*period)), period)
+        law = self.law_for(state.dt, state.continuous)
         if not self._clock.follows(state):
             law.reset()
         return law
+
+    def law_for(self, dt: float, continuous: bool) -> _core.Law:
+        """The law for a control period: the present one, or a new one with its memory.
+
+        Args:
+            dt: s, the control period; 0 means continuous time.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Raises:
+            InputError: The period is no number in [0, 1] s, or `make_law` gives no law for these joints.
+        """
+        period = (dt, continuous)
+        if self._law is None or self._period != period:
+            return self._replace_law(self.make_law(*checked_period(*period)), period)
+        return self._law
 
     def _replace_law(self, law: _core.Law, period: tuple[float, bool]) -> _core.Law:
         """Takes a law for a control period, and gives it the memory of the present one."""

@@ -19,7 +19,7 @@ from armctl.core.file_reading import reading
 from armctl.core.log_columns import QUANTITIES, REFERENCES, STATES
 from armctl.core.log_csv import Columns, Units, read_recording
 from armctl.core.other_names import with_hints
-from armctl.core.validation import Array, frozen, instance, matrix, number, shown
+from armctl.core.validation import Array, frozen, instance, matrix, number, shown, words
 
 RECORDED = "recorded"  # the unknown controller in the recording of a real robot
 _MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10
@@ -120,10 +120,11 @@ class Log:
         )
 
     def __post_init__(self) -> None:
-        for name, values in (("joint_names", self.joint_names), ("units", self.units)):
-            if not isinstance(values, (tuple, list)) or not all(isinstance(value, str) for value in values):
-                raise InputError(f"{name}: expected a tuple of names, got {shown(values)}")
-        object.__setattr__(self, "units", tuple(self.units) or ("rad",) * len(self.joint_names))
+        object.__setattr__(self, "joint_names", words("joint_names", self.joint_names))
+        units = words("units", self.units) or ("rad",) * len(self.joint_names)
+        if len(units) != len(self.joint_names) or not set(units) <= {"rad", "m"}:
+            raise InputError(f"units: expected 'rad' or 'm' for each of {len(self.joint_names)} joints, got {shown(units)}")
+        object.__setattr__(self, "units", units)
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 frozen(value)
@@ -229,7 +230,7 @@ class Log:
         """
         instance("robot", robot, str, "give a name")
         recording = read_recording(path, columns, units)
-        names = recording.joint_names if joint_names is None else tuple(joint_names)
+        names = recording.joint_names if joint_names is None else words("joint_names", joint_names)
         if len(names) != len(recording.joint_names):
             raise InputError(f"{path!s:.80}: {len(recording.joint_names)} joints are recorded, {len(names)} are named")
         nothing = np.full(recording.q.shape, np.nan)
@@ -262,7 +263,8 @@ class Log:
         Raises:
             InputError: The interval is not above 0, or the positions have different shapes or are not finite.
         """
-        names = tuple(joint_names)
+        instance("robot", robot, str, "give a name")
+        names = words("joint_names", joint_names)
         measured = matrix("q", q, len(names))
         commanded = matrix("q_ref", q_ref, len(names))
         if measured.shape != commanded.shape:
@@ -272,7 +274,7 @@ class Log:
         dt = number("dt", dt, 1e-6, 10.0)
         t = np.asarray(dt * np.arange(len(measured)), np.float64)
         found = measured, np.gradient(measured, dt, axis=0), commanded, np.full(measured.shape, np.nan)
-        return cls._recorded(robot, names, tuple(units), dt, "a recording of positions", t, *found)
+        return cls._recorded(robot, names, words("units", units), dt, "a recording of positions", t, *found)
 
     @classmethod
     def _recorded(
@@ -325,18 +327,16 @@ def _checked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, 
     unknown = ({*arrays, *meta} - {f.name for f in fields(Log)}) | (set(arrays) & set(meta))
     if missing or unknown:
         raise InputError(f"its fields do not fit: missing {shown(sorted(missing))}, unknown {shown(sorted(unknown))}")
-    joint_names = _words("joint_names", meta["joint_names"])
-    units = _words("units", meta["units"])
-    if not joint_names or len(units) != len(joint_names) or not set(units) <= {"rad", "m"}:
-        raise InputError(f"units: {shown(units)} do not fit {len(joint_names)} joints")
+    joint_names = words("joint_names", meta["joint_names"])
+    if not joint_names:
+        raise InputError("joint_names: there is none")
     for name in ("robot", "controller", "plant", "failure"):
-        _words(name, [meta[name]])
+        words(name, [meta[name]])
     dt = number("dt", meta["dt"], 1e-12, 1e4)
     _check_arrays(arrays, len(joint_names), dt)
     factor = meta["real_time_factor"]
     known = {
         "joint_names": joint_names,
-        "units": units,
         "dt": dt,
         "motion_duration": number("motion_duration", meta["motion_duration"], 0.0),
         "real_time_factor": factor if factor in (math.inf, -math.inf) else number("real_time_factor", factor),
@@ -381,16 +381,10 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
         raise InputError(f"t: the times are not {dt:g} s apart")
 
 
-def _words(name: str, value: object) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
-        raise InputError(f"{name}: {shown(value)} is not a text")
-    return tuple(value)
-
-
 def _contact(value: object) -> Contact:
     if not isinstance(value, list) or len(value) != 5 or not isinstance(value[4], bool):
         raise InputError(f"contacts: {shown(value)} is not a contact")
-    body, other = _words("contacts", value[:2])
+    body, other = words("contacts", value[:2])
     return Contact(body, other, number("start", value[2], 0.0), number("duration", value[3], 0.0), value[4])
 
 

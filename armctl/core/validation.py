@@ -5,7 +5,7 @@ All of them raise InputError; `what` is the name of the argument in its message.
 
 import math
 import numbers
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,10 +29,21 @@ def instance(what: str, value: object, kind: type | tuple[type, ...], hint: str)
 
 def choice(what: str, value: object, known: Iterable[str]) -> str:
     """Checks that an argument is one of a few words, and returns it."""
-    words = list(known)
-    if not isinstance(value, str) or value not in words:
-        raise InputError(f"{what}: expected one of {', '.join(words)}, got {shown(value)}")
+    names = list(known)
+    if not isinstance(value, str) or value not in names:
+        raise InputError(f"{what}: expected one of {', '.join(names)}, got {shown(value)}")
     return value
+
+
+def words(what: str, value: object) -> tuple[str, ...]:
+    """Checks that an argument is a sequence of texts, and not one text."""
+    if (
+        not isinstance(value, (Sequence, np.ndarray))
+        or isinstance(value, str)
+        or not all(isinstance(each, str) for each in value)
+    ):
+        raise InputError(f"{what}: expected a tuple of names, got {shown(value)}")
+    return tuple(value)
 
 
 def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bool = True) -> Array:

@@ -85,12 +85,13 @@ class Dynamics:
         self._step = self._new_step_model(0.0)
         self._payload_basis = _payload_basis(pinocchio_model.T_last_tip)
         followers = np.setdiff1d(np.arange(len(joint_map.joints)), joint_map.leaders)
+        self._is_upper = np.triu(np.ones((len(joint_map.leaders), len(joint_map.leaders)), bool))
         self._followers = tuple(joint_name(model, joint_map.joints[k]) for k in followers)
 
     def mass_matrix(self, q: Array) -> Array:
         """M(q) with armature, (n, n) kg m^2, symmetric."""
         M = pin.crba(self._model, self._data, q, self._convention)  # guarantees the upper triangle only
-        return np.triu(M) + np.triu(M, 1).T
+        return np.where(self._is_upper, M, M.T)
 
     def bias(self, q: Array, v: Array) -> Array:
         """Coriolis, centrifugal and gravity torques, MuJoCo's `qfrc_bias`, (n,) N m."""

@@ -175,7 +175,7 @@ class ControlledArms:
         try:
             self.drive.run(self._controller, reference, recorder)
         except BaseException as error:
-            self._keep_logs(recorder, {}, {}, time.perf_counter(), error)
+            self._keep_logs(recorder, {}, {}, error)
             raise
 
     def resume(self) -> None:
@@ -194,23 +194,21 @@ class ControlledArms:
         """
         self.resume()
         recorder = self.drive.recorder()
-        started = time.perf_counter()
         targets = {} if targets is None else targets
         try:
             yield recorder
             self.drive.come_to_rest(stop=False)
         except BaseException as error:
             self.drive.come_to_rest(stop=True)
-            self._keep_logs(recorder, durations, targets, started, error, controller)
+            self._keep_logs(recorder, durations, targets, error, controller)
             raise
-        self._keep_logs(recorder, durations, targets, started, None, controller)
+        self._keep_logs(recorder, durations, targets, None, controller)
 
     def _keep_logs(
         self,
         recorder: Recorder,
         durations: Mapping[str, float],
         targets: Mapping[str, Array],
-        started: float,
         error: BaseException | None,
         controller: Controller | None = None,
     ) -> None:
@@ -220,7 +218,7 @@ class ControlledArms:
         for tip, arm in self.arms.items():
             name = controller_name(controller or self.controllers[tip])
             duration = float(durations.get(tip, 0.0))
-            info = self._run_info(name, duration, targets.get(tip, NO_TARGET), started, error)
+            info = self._run_info(recorder, name, duration, targets.get(tip, NO_TARGET), error)
             self._logs[tip] = recorder.log(arm, info, self._slices[tip], self._wrenches[tip])
         self._give_log(error)
         self._check_logs()
@@ -229,12 +227,12 @@ class ControlledArms:
         """Called after a run has new logs."""
 
     def _run_info(
-        self, controller: str, duration: float, target: Array, started: float, error: BaseException | None
+        self, recorder: Recorder, controller: str, duration: float, target: Array, error: BaseException | None
     ) -> RunInfo:
         failure = self.drive.failure
         if error is not None and not failure:
             failure = f"interrupted at {self.drive.data.time:.3f} s by {type(error).__name__}"
-        wall_time = time.perf_counter() - started
+        wall_time = time.perf_counter() - recorder.started
         return RunInfo(controller, self.drive.description, self.drive.dt, duration, target, wall_time, failure)
 
     def _give_log(self, error: BaseException | None) -> None:

@@ -1,6 +1,7 @@
 """Recorder: the ticks of a run as named columns that are allocated before the run, and the Log made from them."""
 
 import math
+import time
 from typing import NamedTuple
 
 import mujoco
@@ -83,6 +84,7 @@ class Recorder:
         self._actuation = actuation
         self._tips = tips
         self._parts: list[TickRows] = []
+        self.started = time.perf_counter()
         self.has_begun = False  # whether a run was begun, even if no tick of it is complete
 
     @property
@@ -95,6 +97,11 @@ class Recorder:
         self._parts.append(rows)
         self.has_begun = True
         return rows
+
+    def restart_clock(self) -> None:
+        """Counts the computing time from now on, unless a tick is complete: the design of gains is no part of the run."""
+        if not self.size:
+            self.started = time.perf_counter()
 
     def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = _FIRST_WRENCH) -> Log:
         """The recorded rows of an arm as a Log; the tips are from the arm's forward kinematics, which is MuJoCo's to 1e-9."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Mapping, Sequence
 
@@ -99,7 +98,7 @@ class SimulatedArms(ControlledArms):
 
     def _keep_step_logs(self, steps: _StepRecording, error: BaseException | None = None) -> None:
         duration = steps.recorder.size * self.stepper.dt
-        info = self._run_info(" + ".join(steps.controllers), duration, NO_TARGET, steps.started, error)
+        info = self._run_info(steps.recorder, " + ".join(steps.controllers), duration, NO_TARGET, error)
         self._logs = {tip: steps.recorder.log(arm, info) for tip, arm in self.arms.items()}
         steps.logged = steps.recorder.size
         self._give_log(error)
@@ -111,7 +110,6 @@ class _StepRecording:
     def __init__(self, stepper: Stepper):
         self.recorder = stepper.recorder()
         self.controllers: list[str] = []
-        self.started = time.perf_counter()
         self.logged = -1
         self._stepper = stepper
         self._rows: TickRows | None = None

@@ -238,6 +238,9 @@ class Stepper:
         if self.failure:
             raise SimulationError(f"{self.failure}; call reset() to start again")
         rows = recorder.begin(reference)
+        if self._runs_compiled(controller):
+            controller.law_for(self.dt, self.continuous)
+            recorder.restart_clock()
         if self._observer is None:
             self._run_ticks(controller, rows, 0, len(reference.q))
             return

@@ -1,5 +1,8 @@
-// Sends the velocity that a hand asks for, as long as it holds a key, a gamepad's shoulder button, or the cap of a SpaceMouse.
+// Says once whether the browser draws with a graphics card. Then sends the velocity that a hand asks for, as long as it holds a
+// key, a gamepad's shoulder button, or the cap of a SpaceMouse.
 (() => {
+  const ADDRESS = `${location.origin.replace("http", "ws")}/devices`;
+  const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
   const INTERVAL_MS = 40;
   const DEAD_ZONE = 0.15;
   const SPACE_MOUSE_FULL = 350; // counts at full deflection
@@ -12,6 +15,16 @@
   let turning = false;
   let socket = null;
   let moving = false;
+
+  const context = document.createElement("canvas").getContext("webgl");
+  const names = context?.getExtension("WEBGL_debug_renderer_info");
+  const renderer = names ? context.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  const report = new WebSocket(ADDRESS);
+  report.onopen = () => {
+    report.send(JSON.stringify(renderer !== "" && !SOFTWARE.test(renderer)));
+    report.close();
+  };
 
   const isTyping = () => /^(INPUT|TEXTAREA|SELECT)$/.test(document.activeElement?.tagName ?? "");
   const release = () => pressed.clear();
@@ -71,7 +84,7 @@
     moving = velocity.some((share) => share !== 0);
     if (!moving && !wasMoving) return; // the last message says zero
     if (!socket || socket.readyState > WebSocket.OPEN) {
-      socket = new WebSocket(`${location.origin.replace("http", "ws")}/devices`);
+      socket = new WebSocket(ADDRESS);
     } else if (socket.readyState === WebSocket.OPEN && socket.bufferedAmount === 0) {
       socket.send(JSON.stringify(velocity));
     }

@@ -1,4 +1,7 @@
-"""HandDevices: what keyboards, gamepads and SpaceMice of the page's visitors ask for. `devices.js` reads them."""
+"""HandDevices: what keyboards, gamepads and SpaceMice of the page's visitors ask for, and how fast their browsers draw.
+
+`devices.js` reads and sends it.
+"""
 
 from __future__ import annotations
 
@@ -39,6 +42,12 @@ class HandDevices:
         self._commander: object = None
         self._shares: Array | None = None
         self._renewed_at = -math.inf
+        self._draws_fast: bool | None = None
+
+    @property
+    def draw_fast(self) -> bool:
+        """Whether every browser until now draws with a graphics card; False before the first one."""
+        return self._draws_fast is True
 
     @property
     def velocity(self) -> TipVelocity | None:
@@ -59,14 +68,20 @@ class HandDevices:
                 self._commander = None
 
     def take(self, connection: object, message: str | bytes) -> None:
-        """Takes a message: shares of the full speed along and about x, y, z, each in [-1, 1]. Others are dropped."""
-        if len(message) > _MAX_MESSAGE_CHARACTERS or (self._commander is not connection and self.velocity is not None):
+        """Takes a message: shares of the full speed along and about x, y, z, each in [-1, 1], or whether a browser draws fast.
+
+        Others are dropped.
+        """
+        if len(message) > _MAX_MESSAGE_CHARACTERS:
             return
         try:
-            shares = msgspec.json.decode(message, type=_Shares)
+            shares = msgspec.json.decode(message, type=_Shares | bool)
         except (msgspec.MsgspecError, ValueError):
             return
-        if not all(map(math.isfinite, shares)):
+        if isinstance(shares, bool):
+            self._draws_fast = shares and self._draws_fast is not False
+            return
+        if not all(map(math.isfinite, shares)) or (self._commander is not connection and self.velocity is not None):
             return
         self._commander = connection
         self._renewed_at = time.monotonic()

@@ -105,7 +105,8 @@ class WebScene:
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.gui.main_panel.dock_right()
         self.text = self.server.gui.add_markdown("loading")
-        _add_background_and_lamps(self.server.scene)
+        _add_background(self.server.scene)
+        self._lamps = _added_lamps(self.server.scene)
         self._view: _View | None = None
         self._drawing_lock = threading.Lock()  # `set` replaces what the drawing thread uses
         self._latest: _Frame | None = None
@@ -189,6 +190,7 @@ class WebScene:
                 refine_at = time.monotonic() + _REFINE_DELAY_S
             try:
                 with self._drawing_lock:
+                    self._lamps[0].cast_shadow = self.devices.draw_fast
                     if refine_at is not None and time.monotonic() > refine_at:
                         self._refine()
                     self.draw()
@@ -267,13 +269,19 @@ def _shown_host(host: str | None) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _add_background_and_lamps(scene: viser.SceneApi) -> None:
-    """A sky that contrasts with all arms, and lamps. Shadows would be too slow for a browser without graphics card."""
+def _add_background(scene: viser.SceneApi) -> None:
+    """A sky that contrasts with all arms."""
     top = np.array(_SKY_TOP_RGB)
     bottom = np.array(_SKY_BOTTOM_RGB)
     share = np.linspace(0.0, 1.0, _SKY_HEIGHT_PX)[:, None, None]
     sky = np.broadcast_to(top + share * (bottom - top), (_SKY_HEIGHT_PX, _SKY_WIDTH_PX, 3))
     scene.set_background_image(sky.astype(np.uint8))
+
+
+def _added_lamps(scene: viser.SceneApi) -> list[viser.DirectionalLightHandle]:
+    """Lamps without shadows, which are too slow for a browser without graphics card."""
     scene.configure_default_lights(False, cast_shadow=False)
-    for k, (position, intensity) in enumerate(_LAMPS):
+    return [
         scene.add_light_directional(f"/lamps/{k}", intensity=intensity, position=position)
+        for k, (position, intensity) in enumerate(_LAMPS)
+    ]

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 from synthetic import BENT, serial_arm
@@ -31,6 +30,8 @@ def relative_difference(x, y):
 def test_the_gains_are_those_of_python_control(arm, weights, continuous):
     q = arm.limits.random(arm.home, 1, np.random.default_rng(3))[0]
     (found,) = armctl.LQR(arm, q=q, **weights).gains(0.002, continuous)
+    import control  # takes a second
+
     K, P, _ = control.dlqr(found.A, found.B, found.Q, found.R, found.N)
     assert relative_difference(found.K, K) < 1e-9
     assert relative_difference(found.P, P) < 1e-9

@@ -205,6 +205,24 @@ def test_bad_recordings_are_one_sentence(known, file):
         armctl.identify_servo(arm, other, judge=log, source=file)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"joint_names": 5},
+        {"joint_names": "xy"},
+        {"joint_names": ["x", 1]},
+        {"units": ["rad", "deg"]},
+        {"units": ["m"]},
+        {"robot": 5},
+    ],
+)
+def test_wrong_names_and_units_of_positions_are_refused(wrong):
+    (name,) = wrong
+    q = np.zeros((10, 2))
+    with pytest.raises(armctl.InputError, match=f"^{name}: expected"):
+        armctl.Log.from_positions(DT, q, q, **{"joint_names": ["x", "y"], **wrong})
+
+
 def test_a_log_of_positions_is_written_and_read(known, tmp_path):
     arm, _ = known
     log = recorded(arm, 1)

@@ -23,8 +23,6 @@ ROOT = Path(__file__).parents[2]
 BUILD = ROOT / "build" / "core" / str(sysconfig.get_config_var("SOABI"))
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "ARMCTL_COMPILE_AT_ONCE")}
 
-pytestmark = pytest.mark.xdist_group("build of the core")  # several tests use its folder
-
 
 def run(*command: str | Path, cwd: Path) -> str:
     done = subprocess.run(command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True)

@@ -295,3 +295,18 @@ def test_a_second_thread_on_a_simulation_gets_one_sentence(rubbing):
     assert len(logs) == 1
     assert logs[0].failure == ""
     assert len(logs[0]) > 10_000
+
+
+def test_the_design_of_gains_is_no_computing_time_of_a_run(bundled, monkeypatch):
+    clock = itertools.count(0.0, 1e-3)  # s, a call later each time
+    design_time = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: next(clock) + design_time[0])
+
+    class DesignedSlowly(armctl.ComputedTorque):
+        def make_law(self, dt: float, continuous: bool) -> _core.Law:
+            design_time[0] += 100.0
+            return super().make_law(dt, continuous)
+
+    log = armctl.simulate(bundled, DesignedSlowly(bundled), armctl.move_j(bundled, bundled.home, bundled.home + 0.05))
+    assert design_time[0] > 0.0
+    assert log.real_time_factor > 1.0

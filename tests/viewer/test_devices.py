@@ -98,6 +98,20 @@ def test_the_tip_moves_while_a_visitor_renews_and_stops_when_the_visitor_is_gone
         assert np.abs(page.session.status.q - q).max() < 2e-3
 
 
+def test_shadows_fall_where_every_browser_draws_with_a_graphics_card():
+    with open_page() as page, connected(page):
+        lamp = page.scene._lamps[0]
+        assert not lamp.cast_shadow
+        for said, shadows in (("true", True), ("false", False), ("true", False)):
+            client = Client(page, PATH)
+            client.send(said)
+            client.send(UP)
+            until(lambda: page.scene.devices.velocity is not None, "the messages are not taken")
+            until(lambda: lamp.cast_shadow is shadows, f"shadows after {said}: {lamp.cast_shadow}")  # noqa: B023
+            client.close()
+            until(lambda: page.scene.devices.velocity is None, "the velocity stays")
+
+
 def test_devices_need_the_origin_of_the_page_and_its_token(page):
     for origin in ("http://evil.example", None):
         with pytest.raises(websockets.exceptions.InvalidStatus):

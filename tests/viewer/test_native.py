@@ -15,10 +15,9 @@ from commands import armctl_command
 from PIL import ImageGrab
 
 TOOLS = ("Xvfb", "xdotool")
-pytestmark = [
-    pytest.mark.skipif(not all(map(shutil.which, TOOLS)), reason="no screen to try on: apt-get install -y xvfb xdotool"),
-    pytest.mark.xdist_group("browser"),
-]
+pytestmark = pytest.mark.skipif(
+    not all(map(shutil.which, TOOLS)), reason="no screen to try on: apt-get install -y xvfb xdotool"
+)
 PATIENCE = 120.0  # s: a window that is drawn in software, on a busy machine
 
 

@@ -17,10 +17,7 @@ from arms import BUNDLED
 from commands import armctl_command
 
 CHROMIUM = shutil.which("chromium")
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no browser: apt-get install -y chromium"),
-    pytest.mark.xdist_group("browser"),
-]
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no browser: apt-get install -y chromium")
 pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
@@ -137,6 +134,7 @@ def test_keys_a_gamepad_and_a_space_mouse_ask_for_a_velocity_while_they_are_held
         act()
         until(lambda: tab.wait_for_timeout(20) or velocity in said, f"{velocity} is not asked for, but {said}")
 
+    until(lambda: tab.wait_for_timeout(20) or False in said, "the page does not say that it draws with software")
     nothing = [0, 0, 0, 0, 0, 0]
     says([1, 0, 0, 0, 0, 0], lambda: tab.keyboard.down("i"))
     tab.keyboard.down("Shift")
