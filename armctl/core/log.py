@@ -331,7 +331,7 @@ def _checked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, 
     if not joint_names:
         raise InputError("joint_names: there is none")
     for name in ("robot", "controller", "plant", "failure"):
-        words(name, [meta[name]])
+        instance(name, meta[name], str, "give a name")
     dt = number("dt", meta["dt"], 1e-12, 1e4)
     _check_arrays(arrays, len(joint_names), dt)
     factor = meta["real_time_factor"]
