@@ -25,7 +25,7 @@ class RobotNotes:
     def __init__(self, file: Path):
         self._file = file
         self._asked = 0
-        self._fixtures: set[str] = set()
+        self._fixtures: set[tuple[str, str]] = set()  # those that asked, by the file or folder that they are for, and their name
         self._independent: list[str] = []
         self._folder = tempfile.TemporaryDirectory()
         self._processes = Path(self._folder.name) / "notes"
@@ -59,15 +59,18 @@ class RobotNotes:
             return (yield)
         finally:
             if self._count() > before and fixturedef.scope != "function":
-                self._fixtures.add(fixturedef.argname)
+                self._fixtures.add((fixturedef.baseid, fixturedef.argname))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         before = self._count()
         result = yield
-        if self._count() == before and not self._fixtures.intersection(item.fixturenames):
+        if self._count() == before and not self._uses_asking_fixture(item):
             self._independent.append(item.nodeid)
         return result
+
+    def _uses_asking_fixture(self, item: pytest.Item) -> bool:
+        return any(item.nodeid.startswith(base) and name in item.fixturenames for base, name in self._fixtures)
 
     def pytest_sessionfinish(self) -> None:
         with self._file.open("a", encoding="utf-8") as file:
