@@ -37,13 +37,10 @@ def choice(what: str, value: object, known: Iterable[str]) -> str:
 
 def words(what: str, value: object) -> tuple[str, ...]:
     """Checks that an argument is a sequence of texts, and not one text."""
-    if (
-        not isinstance(value, (Sequence, np.ndarray))
-        or isinstance(value, str)
-        or not all(isinstance(each, str) for each in value)
-    ):
+    texts = value.tolist() if isinstance(value, np.ndarray) else value
+    if not isinstance(texts, Sequence) or isinstance(texts, str) or not all(isinstance(each, str) for each in texts):
         raise InputError(f"{what}: expected a tuple of names, got {shown(value)}")
-    return tuple(value)
+    return tuple(texts)
 
 
 def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bool = True) -> Array:

@@ -210,6 +210,7 @@ def test_bad_recordings_are_one_sentence(known, file):
     [
         {"joint_names": 5},
         {"joint_names": "xy"},
+        {"joint_names": np.array(1.0)},
         {"joint_names": ["x", 1]},
         {"units": ["rad", "deg"]},
         {"units": ["m"]},
