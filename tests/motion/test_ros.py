@@ -63,6 +63,10 @@ WRONG = {
     ),
     "text": ({"joint_names": NAMES, "points": [POINT | {"positions": "abc"}]}, "is not an array of numbers"),
     "no time": ({"joint_names": NAMES, "points": [{"positions": [0.0] * 3}]}, "expected a stamp with sec and nanosec"),
+    "absurd": (
+        {"joint_names": NAMES, "points": [POINT, LATER | {"positions": [0.0, -1e308, 0.0]}]},
+        r"positions: a number is above 1e\+09",
+    ),
     "backwards": ({"joint_names": NAMES, "points": [LATER, POINT]}, "point 1: its time_from_start, 0 s, is not after"),
     "some rates": (
         {"joint_names": NAMES, "points": [POINT, LATER | {"velocities": [0.0] * 3}]},

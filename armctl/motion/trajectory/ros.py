@@ -17,6 +17,7 @@ from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, standin
 ENDINGS = (".json", ".yaml", ".yml")
 _MAX_BYTES = 200_000_000
 _MAX_SECONDS = 1e6
+_MAX_VALUE = 1e9  # SI units; more is a damaged number
 
 
 class Waypoints(NamedTuple):
@@ -138,7 +139,10 @@ def _rates(name: str, rows: list[Any], n: int) -> Array | None:
 
 
 def _rows(name: str, rows: list[Any], n: int) -> Array:
-    return np.array([vector(f"message: point {k}: {name}", row, n) for k, row in enumerate(rows)])
+    table = np.array([vector(f"message: point {k}: {name}", row, n) for k, row in enumerate(rows)])
+    if (np.abs(table) > _MAX_VALUE).any():
+        raise InputError(f"message: {name}: a number is above {_MAX_VALUE:g}; expected rad or m, and seconds")
+    return table
 
 
 def _seconds(k: int, stamp: object) -> float:
