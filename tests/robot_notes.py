@@ -25,7 +25,7 @@ class RobotNotes:
     def __init__(self, file: Path):
         self._file = file
         self._asked = 0
-        self._fixtures: set[tuple[str, str]] = set()  # those that asked, by the file or folder that they are for, and their name
+        self._fixtures: set[tuple[str, str]] = set()  # that asked: where they are known, and their name
         self._independent: list[str] = []
         self._folder = tempfile.TemporaryDirectory()
         self._processes = Path(self._folder.name) / "notes"
