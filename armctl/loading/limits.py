@@ -113,10 +113,12 @@ def joint_limits(
     a_max = given.a_max
     j_max = given.j_max
     if a_max is None:
-        M, gravity = _inertia_and_gravity(model, transmissions, home_qpos)
-        headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
-        with np.errstate(over="ignore"):  # a model may state any speed
-            a_max = np.minimum(0.5 * headroom / np.abs(M).sum(axis=1), 10.0 * v_max)
+        with np.errstate(over="ignore", invalid="ignore"):  # a model may state any speed and any mass
+            M, gravity = _inertia_and_gravity(model, transmissions, home_qpos)
+            inertia = np.abs(M).sum(axis=1)
+            _check_inertia(model, transmissions, inertia, gravity)
+            headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
+            a_max = np.minimum(0.5 * headroom / inertia, 10.0 * v_max)
     if j_max is None:
         j_max = a_max / DEFAULT_ACCELERATION_TIME_S
     sources = {k: "default" if getattr(given, k) is None else given.source for k in ("v_max", "a_max", "j_max")}
@@ -235,6 +237,14 @@ def _assumed_torque_note(model: mujoco.MjModel, joints: Sequence[int], tau: Arra
     values = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(tau, units.of_torque(joint_units), strict=True))
     rates = units.label(joint_units, "/s^2")
     return f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {rates} plus friction)"
+
+
+def _check_inertia(model: mujoco.MjModel, transmissions: Sequence[Transmission], inertia: Array, gravity: Array) -> None:
+    """Refuses joints that move no inertia, or masses whose products overflow."""
+    for transmission, moved, torque in zip(transmissions, inertia, gravity, strict=True):
+        if not 0.0 < moved < np.inf or not np.isfinite(torque):
+            name = shown(joint_name(model, transmission.joint))
+            raise ModelError(f"joint {name}: it moves an inertia of {moved:g}; check masses and inertias, or give it an armature")
 
 
 def _inertia_and_gravity(model: mujoco.MjModel, transmissions: Sequence[Transmission], qpos: Array) -> tuple[Array, Array]:

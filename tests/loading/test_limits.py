@@ -62,6 +62,12 @@ def test_masses_that_leave_no_digit_of_the_accelerations_are_refused(load):
         load(limb("a b c").replace('mass="0.5"', 'mass="1e21"', 1), motors("a b c"))
 
 
+@pytest.mark.filterwarnings("ignore:Inertia matrix is too close to singular:UserWarning")  # MuJoCo's
+def test_masses_whose_products_overflow_are_refused(load):
+    with pytest.raises(armctl.ModelError, match=r"^joint 'a': it moves an inertia of (inf|nan); check masses and inertias"):
+        load(limb("a b c").replace('mass="0.5"', 'mass="1e308"'), motors("a b c"))
+
+
 def test_a_chain_of_many_joints_loads_in_seconds(load):
     names = [f"j{i}" for i in range(150)]
     arm = load(limb(" ".join(names)), motors(" ".join(names)))
