@@ -244,7 +244,7 @@ def _check_inertia(model: mujoco.MjModel, transmissions: Sequence[Transmission],
     for transmission, moved, torque in zip(transmissions, inertia, gravity, strict=True):
         if not 0.0 < moved < np.inf or not np.isfinite(torque):
             name = shown(joint_name(model, transmission.joint))
-            raise ModelError(f"joint {name}: it moves an inertia of {moved:g}; check masses and inertias, or give it an armature")
+            raise ModelError(f"joint {name}: it moves an inertia of {moved:g}; check masses and inertias or give an armature")
 
 
 def _inertia_and_gravity(model: mujoco.MjModel, transmissions: Sequence[Transmission], qpos: Array) -> tuple[Array, Array]:
