@@ -23,18 +23,18 @@ struct EnvironmentArrays {
     const Arguments& given;
     size_t n;
     size_t ticks;
-    size_t action_size;                                                           // with the gripper's number
-    size_t count = given.length("q");                                             // of the copies
-    Matrix action = given.matrix(count, action_size, "action");                   // in [-1, 1]
-    MatrixResult q = given.writable_matrix(count, n, "q");                        // rad
-    MatrixResult v = given.writable_matrix(count, n, "v");                        // rad/s
-    MatrixResult target = given.writable_matrix(count, n, "target");              // rad, joint targets
-    MatrixResult q_ref = given.writable_matrix(count, n, "q_ref");                // rad, the reference
-    MatrixResult v_ref = given.writable_matrix(count, n, "v_ref");                // rad/s
-    MatrixResult tip = given.writable_matrix(count, 12, "tip");                   // position and rotation matrix
-    Result opening = given.writable({count}, "opening");                          // of the gripper, from closed (0) to open (1)
-    MatrixResult object = given.writable_matrix(count, 13, "object");             // position, quaternion and velocities of the loose object
-    std::span<std::int64_t> touched = given.writable_integers(count, "touched");  // ticks of the last step with the obstacle touched
+    size_t action_size;                                                // with the gripper's number
+    size_t count = given.length("q");                                  // of the copies
+    Matrix action = given.matrix(count, action_size, "action");        // in [-1, 1]
+    MatrixResult q = given.writable_matrix(count, n, "q");             // rad
+    MatrixResult v = given.writable_matrix(count, n, "v");             // rad/s
+    MatrixResult target = given.writable_matrix(count, n, "target");   // rad, joint targets
+    MatrixResult q_ref = given.writable_matrix(count, n, "q_ref");     // rad, the reference
+    MatrixResult v_ref = given.writable_matrix(count, n, "v_ref");     // rad/s
+    MatrixResult tip = given.writable_matrix(count, 12, "tip");        // position and rotation matrix
+    Result opening = given.writable({count}, "opening");               // of the gripper, from closed (0) to open (1)
+    MatrixResult object = given.writable_matrix(count, 13, "object");  // position, quaternion and velocities of the loose object
+    std::span<std::int64_t> touched = given.array<std::int64_t>({count}, "touched");  // ticks of the last step with the obstacle touched
     // On measured positions and velocities.
     Vector noise = given.has("noise") ? given.shaped({count, ticks, 2, n}, "noise") : Vector();
 };

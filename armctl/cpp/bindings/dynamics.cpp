@@ -15,7 +15,7 @@ namespace {
 
 void bind_model(nb::module_& module) {
     nb::class_<ArmModel>(module, "ArmModel", "The model of an arm: a tree of links. Immutable.")
-        .def(nb::new_([](const nb::kwargs& given) { return std::make_shared<ArmModel>(KeywordArguments(given)); }), "given"_a,
+        .def(nb::new_([](const nb::kwargs& given) { return std::make_shared<ArmModel>(Arguments(given)); }), "given"_a,
              "A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains them.")
         .def_prop_ro("n", &ArmModel::n, "The number of joints that the arm's motors drive.")
         .def("for_period", &ArmModel::for_period, "dt"_a, "continuous"_a,

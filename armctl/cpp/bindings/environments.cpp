@@ -17,7 +17,7 @@ namespace {
 class HeldRows {
 public:
     HeldRows(std::shared_ptr<const MujocoApi> api, const Model& arm, const Law& law, nb::kwargs given)
-        : arguments_(std::move(given)), rows_(std::move(api), arm, law, arguments_) {}
+        : given_(std::move(given)), rows_(std::move(api), arm, law, arguments_) {}
 
     HeldRows(const HeldRows&) = delete;
     HeldRows& operator=(const HeldRows&) = delete;
@@ -41,7 +41,8 @@ public:
     }
 
 private:
-    KeywordArguments arguments_;
+    nb::kwargs given_;
+    Arguments arguments_{given_};
     nb::dict simulations_;
     EnvironmentRows rows_;
 };

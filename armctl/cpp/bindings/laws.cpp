@@ -81,13 +81,13 @@ void bind_law(nb::module_& module) {
 // The class of a law with a model, or around another law. Its keyword arguments have the names of its members.
 template <class ConcreteLaw, class Base = Law, class Of = Model>
 nb::class_<ConcreteLaw, Base> bind(nb::module_& module, const char* name, const char* doc) {
-    const auto make = [](const Of& of, const nb::kwargs& gains) { return new ConcreteLaw(of, KeywordArguments(gains)); };
+    const auto make = [](const Of& of, const nb::kwargs& gains) { return new ConcreteLaw(of, Arguments(gains)); };
     return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), "of"_a, "gains"_a);
 }
 
 void bind_without_model(nb::module_& module) {
     nb::class_<PD, Law>(module, "PD", "tau = stiffness (q_ref - q) + damping (v_ref - v)").def(nb::new_([](const nb::kwargs& gains) {
-        return new PD(KeywordArguments(gains));
+        return new PD(Arguments(gains));
     }));
     bind<TorqueRateLimit, Law, std::shared_ptr<Law>>(module, "TorqueRateLimit", "A law whose torques change at limited rates.");
     bind<TorqueFilter, Law, std::shared_ptr<Law>>(module, "TorqueFilter",
@@ -164,14 +164,14 @@ void bind_task_space(nb::module_& module) {
     bind<OperationalSpace>(module, "OperationalSpace", "Operational space control with a posture in the null space.");
     bind<Impedance>(module, "Impedance", "Cartesian impedance control without inertia shaping.")
         .def(
-            "set_stiffness", [](Impedance& self, const nb::kwargs& gains) { self.set_stiffness(KeywordArguments(gains)); },
+            "set_stiffness", [](Impedance& self, const nb::kwargs& gains) { self.set_stiffness(Arguments(gains)); },
             "Replaces the stiffness of the tip, (6,) N/m and N m/rad.");
     bind<Admittance>(module, "Admittance", "Admittance control: a position loop follows a compliant reference.")
         .def_prop_ro("offset", &shared<Admittance, &Admittance::offset>,
                      "The displacement of the reference, (6,) m and rad; a part of the memory.");
     bind<HybridForce>(module, "HybridForce", "Hybrid force/motion control with contact transition.")
         .def(
-            "set_axes", [](HybridForce& self, const nb::kwargs& axes) { self.set_axes(KeywordArguments(axes)); },
+            "set_axes", [](HybridForce& self, const nb::kwargs& axes) { self.set_axes(Arguments(axes)); },
             "Replaces the force axes, `is_force` and `targets` (6,). One that comes back later begins with an approach.")
         .def_prop_ro("in_contact", &HybridForce::in_contact, "Whether every force axis with a target is in contact.");
 }

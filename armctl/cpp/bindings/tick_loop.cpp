@@ -21,7 +21,7 @@ using Api = std::shared_ptr<const MujocoApi>;
 void bind_api(nb::module_& module) {
     nb::class_<MujocoApi>(module, "MujocoApi", "MuJoCo's functions by their addresses, and where mjData keeps contacts.")
         .def(nb::new_([](nb::handle empty_model, const nb::kwargs& given) {
-                 return new MujocoApi(mujoco_model(empty_model), KeywordArguments(given));
+                 return new MujocoApi(mujoco_model(empty_model), Arguments(given));
              }),
              "empty_model"_a, "given"_a, nb::keep_alive<0, 2>());
 }
@@ -46,7 +46,7 @@ Vector optional(const OptionalIn& wrench, const char* name) { return wrench ? wr
 void bind_wrench_sensor(nb::module_& module) {
     nb::class_<WrenchSensor>(module, "WrenchSensor", "The wrench of the environment on a tip, true or measured.")
         .def(nb::new_([](Api api, nb::handle model, nb::handle data, const Model& arm, const nb::kwargs& given) {
-                 return new WrenchSensor(std::move(api), mujoco_simulation(model, data), arm, KeywordArguments(given));
+                 return new WrenchSensor(std::move(api), mujoco_simulation(model, data), arm, Arguments(given));
              }),
              "api"_a, "model"_a, "data"_a, "arm"_a, "given"_a, nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
              "A sensor in a mujoco.MjModel and MjData; armctl/cpp/wrench_sensor.hpp explains the arguments.")
@@ -87,7 +87,7 @@ std::vector<GeomPair> geoms_of(const nb::bytes& geoms) {
 
 void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSensor* sensor, const nb::bytes& touching,
                const nb::kwargs& given) {
-    const KeywordArguments arguments(given);
+    const Arguments arguments(given);
     const Ticks ticks(arguments, loop.joints(), loop.simulation().qpos.size());
     loop.check(ticks, law, delay, sensor);
     std::vector<GeomPair> geoms = geoms_of(touching);
@@ -130,7 +130,7 @@ void bind_tick_end(nb::module_& module) {
 void bind_loop(nb::module_& module) {
     nb::class_<TickLoop>(module, "TickLoop", "The tick loop of one simulation: measure, control, step, record. One thread at a time.")
         .def(nb::new_([](Api api, nb::handle model, nb::handle data, const Model& pushed_arm, const nb::kwargs& given) {
-                 return new TickLoop(std::move(api), mujoco_simulation(model, data), pushed_arm, KeywordArguments(given));
+                 return new TickLoop(std::move(api), mujoco_simulation(model, data), pushed_arm, Arguments(given));
              }),
              "api"_a, "model"_a, "data"_a, "pushed_arm"_a, "given"_a, nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
              "The loop of a mujoco.MjModel and MjData; armctl/cpp/tick_loop.hpp explains the arguments.")

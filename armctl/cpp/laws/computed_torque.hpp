@@ -47,8 +47,9 @@ protected:
     // The memory: whether there was a tick, then the estimate, and further numbers for a derived law.
     ComputedTorque(const Model& model, const Arguments& gains, const EstimateWeights& weights, size_t further_memory = 0)
         : Cloneable(model->n(), estimate_size(model->n(), weights) + further_memory), estimate_size_(estimate_size(model->n(), weights)),
-          stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")), added_inertia_(gains.gains(joints(), "added_inertia")),
-          weights_(weights), torque_limit_(gains.limits(joints(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
+          stiffness_(gains.number("stiffness")), damping_(gains.number("damping")),
+          added_inertia_(gains.numbers(joints(), "added_inertia")), weights_(weights),
+          torque_limit_(gains.numbers(joints(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
 
     // Finds the acceleration of the feedback.
     virtual void correct([[maybe_unused]] Vector q_ref) {

@@ -15,9 +15,9 @@ namespace armctl {
 class ComputedTorqueLearning final : public Cloneable<ComputedTorqueLearning, ComputedTorqueObserver> {
 public:
     ComputedTorqueLearning(const Model& model, const Arguments& gains)
-        : Cloneable(model, gains, memory_size(model->n())), filter_weight_(gains.gain("filter_weight")),
-          information_weight_(gains.gain("information_weight")), forgetting_(gains.gain("forgetting")),
-          torque_precision_(gains.gains(joints(), "torque_precision")), prior_deviations_(gains.gains(p_, "prior_deviations")) {}
+        : Cloneable(model, gains, memory_size(model->n())), filter_weight_(gains.number("filter_weight")),
+          information_weight_(gains.number("information_weight")), forgetting_(gains.number("forgetting")),
+          torque_precision_(gains.numbers(joints(), "torque_precision")), prior_deviations_(gains.numbers(p_, "prior_deviations")) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         Memory memory = memory_parts();

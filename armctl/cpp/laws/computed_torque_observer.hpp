@@ -26,8 +26,8 @@ protected:
     // As above, with further numbers of memory for a derived law.
     ComputedTorqueObserver(const Model& model, const Arguments& gains, size_t further_memory)
         : Cloneable(model->n(), memory_size(model->n()) + further_memory), dynamics_(model), weights_(gains),
-          stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")), disturbance_weight_(gains.gain("disturbance_weight")),
-          torque_limit_(gains.limits(model->n(), "torque_limit")) {}
+          stiffness_(gains.number("stiffness")), damping_(gains.number("damping")), disturbance_weight_(gains.number("disturbance_weight")),
+          torque_limit_(gains.numbers(model->n(), "torque_limit")) {}
 
     // The steps of a tick, in this order.
 

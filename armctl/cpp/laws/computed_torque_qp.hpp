@@ -17,10 +17,10 @@ class ComputedTorqueQP : public Cloneable<ComputedTorqueQP> {
 public:
     // The gains are those of ComputedTorque and the members below. `q_min` and `q_max` may be infinite.
     ComputedTorqueQP(const Model& model, const Arguments& gains, size_t memory_size = 0)
-        : Cloneable(model->n(), memory_size), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
-          q_min_(positions(gains, "q_min")), q_max_(positions(gains, "q_max")), v_max_(gains.limits(joints(), "v_max")),
-          a_max_(gains.limits(joints(), "a_max")), tau_max_(gains.limits(joints(), "torque_limit")), length_(gains.gain("length")),
-          dt_(gains.gain("dt")), mean_share_(gains.flag("continuous") ? 0.5 : 0.0), unlimited_(model, gains), dynamics_(at_start(*model)),
+        : Cloneable(model->n(), memory_size), stiffness_(gains.number("stiffness")), damping_(gains.number("damping")),
+          q_min_(gains.numbers(joints(), "q_min")), q_max_(gains.numbers(joints(), "q_max")), v_max_(gains.numbers(joints(), "v_max")),
+          a_max_(gains.numbers(joints(), "a_max")), tau_max_(gains.numbers(joints(), "torque_limit")), length_(gains.number("length")),
+          dt_(gains.number("dt")), mean_share_(gains.flag("continuous") ? 0.5 : 0.0), unlimited_(model, gains), dynamics_(at_start(*model)),
           solver_(joints()) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
@@ -76,11 +76,6 @@ private:
         auto start = std::make_shared<ArmModel>(model);
         start->half_step = 0.0;
         return start;
-    }
-
-    Numbers positions(const Arguments& gains, const char* name) const {
-        const Vector values = gains.vector(joints(), name);
-        return {values.begin(), values.end()};
     }
 
     // Computes the torque without limits and the program of one control period; whether the torque exceeds a limit.

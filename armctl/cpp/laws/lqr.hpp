@@ -14,7 +14,7 @@ class LQR final : public Cloneable<LQR, ComputedTorque> {
 public:
     // `nodes` (k, n) are configurations, rad, and `feedback` (k, n, 3n) the gains there.
     LQR(const Model& model, const Arguments& gains)
-        : Cloneable(model, gains, EstimateWeights(gains), model->n()), dt_(gains.gain("dt")), nodes_(gains.length("nodes"), joints()),
+        : Cloneable(model, gains, EstimateWeights(gains), model->n()), dt_(gains.number("dt")), nodes_(gains.length("nodes"), joints()),
           feedback_(nodes_.rows() * joints(), 3 * joints()) {
         nodes_.set(gains.matrix(nodes_.rows(), joints(), "nodes"));
         copy(gains.shaped({nodes_.rows(), joints(), 3 * joints()}, "feedback"), feedback_.numbers());

@@ -9,7 +9,7 @@ namespace armctl {
 // How much the error of the predicted position corrects the estimate.
 struct EstimateWeights {
     explicit EstimateWeights(const Arguments& gains)
-        : position(gains.gain("position_weight")), velocity(gains.gain("velocity_weight")), dt(gains.gain("dt")),
+        : position(gains.number("position_weight")), velocity(gains.number("velocity_weight")), dt(gains.number("dt")),
           position_step(gains.flag("continuous") ? 0.5 : 1.0) {}
 
     double position;

@@ -9,7 +9,7 @@ namespace armctl {
 class PD final : public Cloneable<PD> {
 public:
     explicit PD(const Arguments& gains) : PD(gains, gains.length("stiffness")) {}
-    PD(const Arguments& gains, size_t n) : Cloneable(n), stiffness_(gains.gains(n, "stiffness")), damping_(gains.gains(n, "damping")) {}
+    PD(const Arguments& gains, size_t n) : Cloneable(n), stiffness_(gains.numbers(n, "stiffness")), damping_(gains.numbers(n, "damping")) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = feedback(i, state, setpoint.q[i], setpoint.v[i]); }

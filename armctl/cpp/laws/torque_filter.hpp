@@ -1,6 +1,5 @@
 // Linear filters of the torques of another law: notches and low-passes.
 #pragma once
-#include "../errors.hpp"
 #include "law_around.hpp"
 
 namespace armctl {
@@ -38,7 +37,6 @@ public:
         const Matrix sections = gains.matrix(gains.length("sections"), 6, "sections");
         for (size_t k = 0; k < sections.rows; ++k) {
             const Vector row = sections.row(k);
-            if (row[3] != 1.0) { throw InputError("sections: a0 must be 1"); }
             sections_.push_back({.b0 = row[0], .b1 = row[1], .b2 = row[2], .a1 = row[4], .a2 = row[5]});
         }
     }

@@ -8,8 +8,8 @@ namespace armctl {
 class TorqueRateLimit final : public Cloneable<TorqueRateLimit, LawAround> {
 public:
     TorqueRateLimit(const std::shared_ptr<Law>& limited, const Arguments& gains)
-        : Cloneable(limited, 1 + limited->joints()), max_change_(gains.limits(joints(), "tau_rate_max")) {
-        const double dt = gains.gain("dt");
+        : Cloneable(limited, 1 + limited->joints()), max_change_(gains.numbers(joints(), "tau_rate_max")) {
+        const double dt = gains.number("dt");
         for (double& change : max_change_) { change *= dt; }
     }
 
