@@ -214,8 +214,8 @@ class Dynamics:
     """
 
     def __init__(self, model: ArmModel) -> None: ...
-    def place(self, q: numpy.ndarray) -> None:
-        """Places the joints at q (n,) rad."""
+    def locate(self, q: numpy.ndarray) -> None:
+        """Places the joints at q (n,) rad, and finds their frames in the world."""
 
     def gravity(self, q: numpy.ndarray, tau: numpy.ndarray) -> None:
         """The torque that holds the arm at rest, (n,) N m. Places the joints."""
@@ -230,17 +230,9 @@ class Dynamics:
         Adds the torque against dry friction on the reference motion, where the joints are placed.
         """
 
-    def coriolis_product(self, v: numpy.ndarray, w: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """C(q, v) w (n,) N m, where the joints are placed."""
-
     def mass_matrix(self, M: numpy.ndarray) -> None:
         """
         The (n, n) mass matrix with armature, kg m^2, where the joints are placed.
-        """
-
-    def locate(self) -> None:
-        """
-        Finds the frames of all joints in the world, where the joints are placed.
         """
 
     def tip(self, position: numpy.ndarray, rotation: numpy.ndarray) -> None:
@@ -257,21 +249,6 @@ class Dynamics:
         """
         J(q)^T wrench, (n,) N m, for a wrench (6,) on the tip: force first, world axes.
         """
-
-    def tip_motion(self, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, motion: numpy.ndarray) -> None:
-        """
-        Angular velocity, angular acceleration, and acceleration minus gravity of the tip in its own axes, (3, 3).
-        """
-
-def factorize(M: numpy.ndarray) -> None:
-    """
-    Factorizes a positive definite (n, n) matrix in place, as L D L^T, for `solve`.
-    """
-
-def solve(factors: numpy.ndarray, x: numpy.ndarray) -> None:
-    """
-    Replaces x (n,) by the solution of M solution = x, with M as `factorize` leaves it.
-    """
 
 def tips(model: ArmModel, q: numpy.ndarray, positions: numpy.ndarray, rotations: numpy.ndarray) -> None:
     """

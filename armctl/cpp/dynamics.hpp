@@ -139,7 +139,7 @@ public:
         for (size_t i = 0; i < M.rows; ++i) { M(i, i) += model_->step_inertia(i); }
     }
 
-    // Finds the frames of all joints in the world, where the joints are placed, or at q (n,).
+    // Finds the frames of all joints in the world, where the joints are placed.
     void locate() {
         for (size_t j = 0; j < links_.size(); ++j) {
             const int parent = model_->joints[j].parent;

@@ -375,8 +375,7 @@ def _manipulabilities(arm: Arm, q: Array, rows: int) -> Array:
     dynamics = _core.Dynamics(arm.core_model)
     J = np.empty((len(q), 6, arm.n))
     for configuration, jacobian in zip(q, J, strict=True):
-        dynamics.place(configuration)
-        dynamics.locate()
+        dynamics.locate(configuration)
         dynamics.tip_jacobian(jacobian)
     J = J[:, :rows]
     J_T = np.swapaxes(J, 1, 2)

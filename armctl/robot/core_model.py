@@ -103,7 +103,7 @@ def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioM
         q, v, a = rng.uniform(-1.0, 1.0, (3, n))
         compiled.inverse_dynamics(q, v, a, tau)
         compiled.mass_matrix(M)
-        compiled.locate()
+        compiled.locate(q)
         compiled.tip_jacobian(J)
         compiled.tip(position, np.zeros((3, 3)))
         pairs = {

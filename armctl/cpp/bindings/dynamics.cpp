@@ -1,4 +1,4 @@
-// The arm's model, its dynamics, and small linear algebra.
+// The arm's model, its dynamics, and poses.
 #include "dynamics.hpp"
 
 #include <nanobind/stl/shared_ptr.h>
@@ -35,7 +35,8 @@ void bind_workspace(nb::module_& module) {
                          "Results are written into the last argument.")
         .def(nb::init<Model>(), "model"_a)
         .def(
-            "place", [](Dynamics& self, const In& q) { self.place(joints(self, q, "q")); }, "q"_a, "Places the joints at q (n,) rad.")
+            "locate", [](Dynamics& self, const In& q) { self.locate(joints(self, q, "q")); }, "q"_a,
+            "Places the joints at q (n,) rad, and finds their frames in the world.")
         .def(
             "gravity", [](Dynamics& self, const In& q, const Out& tau) { self.gravity(joints(self, q, "q"), joints(self, tau, "tau")); },
             "q"_a, "tau"_a, "The torque that holds the arm at rest, (n,) N m. Places the joints.")
@@ -53,19 +54,12 @@ void bind_workspace(nb::module_& module) {
             },
             "v_ref"_a, "a_ref"_a, "tau"_a, "Adds the torque against dry friction on the reference motion, where the joints are placed.")
         .def(
-            "coriolis_product",
-            [](Dynamics& self, const In& v, const In& w, const Out& tau) {
-                self.coriolis_product(joints(self, v, "v"), joints(self, w, "w"), joints(self, tau, "tau"));
-            },
-            "v"_a, "w"_a, "tau"_a, "C(q, v) w (n,) N m, where the joints are placed.")
-        .def(
             "mass_matrix",
             [](Dynamics& self, const Out& M) {
                 const size_t n = self.model().n();
                 self.mass_matrix(M.matrix(n, n, "M"));
             },
             "M"_a, "The (n, n) mass matrix with armature, kg m^2, where the joints are placed.")
-        .def("locate", nb::overload_cast<>(&Dynamics::locate), "Finds the frames of all joints in the world, where the joints are placed.")
         .def(
             "tip",
             [](const Dynamics& self, const Out& position, const Out& rotation) {
@@ -82,35 +76,7 @@ void bind_workspace(nb::module_& module) {
             [](Dynamics& self, const In& q, const In& wrench, const Out& tau) {
                 self.tip_force(joints(self, q, "q"), wrench.vector(6, "wrench"), joints(self, tau, "tau"));
             },
-            "q"_a, "wrench"_a, "tau"_a, "J(q)^T wrench, (n,) N m, for a wrench (6,) on the tip: force first, world axes.")
-        .def(
-            "tip_motion",
-            [](Dynamics& self, const In& q, const In& v, const In& a, const Out& motion) {
-                const MatrixResult rows = motion.matrix(3, 3, "motion");
-                const BodyMotion tip = self.tip_motion(joints(self, q, "q"), joints(self, v, "v"), joints(self, a, "a"));
-                tip.omega.store(rows.row(0));
-                tip.alpha.store(rows.row(1));
-                tip.linear.store(rows.row(2));
-            },
-            "q"_a, "v"_a, "a"_a, "motion"_a,
-            "Angular velocity, angular acceleration, and acceleration minus gravity of the tip in its own axes, (3, 3).");
-}
-
-void bind_linear_algebra(nb::module_& module) {
-    module.def(
-        "factorize",
-        [](const Out& M) {
-            const size_t n = M.length("M");
-            factorize(M.matrix(n, n, "M"));
-        },
-        "M"_a, "Factorizes a positive definite (n, n) matrix in place, as L D L^T, for `solve`.");
-    module.def(
-        "solve",
-        [](const In& factors, const Out& x) {
-            const size_t n = x.length("x");
-            solve(factors.matrix(n, n, "factors"), x.vector(n, "x"));
-        },
-        "factors"_a, "x"_a, "Replaces x (n,) by the solution of M solution = x, with M as `factorize` leaves it.");
+            "q"_a, "wrench"_a, "tau"_a, "J(q)^T wrench, (n,) N m, for a wrench (6,) on the tip: force first, world axes.");
 }
 
 void bind_poses(nb::module_& module) {
@@ -153,7 +119,6 @@ void bind_poses(nb::module_& module) {
 void bind_dynamics(nb::module_& module) {
     bind_model(module);
     bind_workspace(module);
-    bind_linear_algebra(module);
     bind_poses(module);
 }
 

@@ -63,7 +63,7 @@ private:
 
     Memory memory_parts() {
         const size_t n = joints();
-        Result rest = further_memory();
+        Result rest = own_memory();
         const auto vector = [&rest](size_t size) {
             const Result part = rest.first(size);
             rest = rest.subspan(size);
@@ -152,7 +152,7 @@ private:
         dynamics_.inverse_dynamics(setpoint.q, setpoint.v_tick, setpoint.a_tick, memory.needed);
         for (size_t i = 0; i < joints(); ++i) {
             rate_[i] += dot(memory.regressor.row(i), payload, memory.needed[i]);
-            rate_[i] = is_first || weights_.dt == 0.0 ? 0.0 : rate_[i] / weights_.dt;
+            rate_[i] = is_first || dt_ == 0.0 ? 0.0 : rate_[i] / dt_;
         }
     }
 
@@ -164,8 +164,8 @@ private:
             Y(i, delay_unknown) = rate_[i];
             Y(i, first_friction_unknown + i) = v_ref[i] / (std::abs(v_ref[i]) + friction_speed);
             memory.fed_forward[i] = dot(Y.row(i), memory.estimate);
-            if (weights_.dt != 0.0) {  // what is fed forward against the delay is late, too
-                Y(i, delay_unknown) += memory.estimate[delay_unknown] * (rate_[i] - memory.last_rate[i]) / weights_.dt;
+            if (dt_ != 0.0) {  // what is fed forward against the delay is late, too
+                Y(i, delay_unknown) += memory.estimate[delay_unknown] * (rate_[i] - memory.last_rate[i]) / dt_;
             }
             memory.last_rate[i] = rate_[i];
             moves = moves || v_ref[i] != 0.0;
