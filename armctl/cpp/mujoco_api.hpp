@@ -94,12 +94,13 @@ private:
 // must not own memory or locks. It must not throw.
 //
 // Returns MuJoCo's message; empty if the function returned.
-std::string guarded_call(const MujocoApi& api, void (*function)(void*), void* argument);
+std::string guarded_call(const MujocoApi& api, MujocoApi::BatchFunction function, void* argument);
 
 // The same for a callable object, such as a lambda that captures by reference.
 template <class Work>
 std::string guarded(const MujocoApi& api, Work& work) {
-    return guarded_call(api, [](void* argument) { (*static_cast<Work*>(argument))(); }, &work);
+    const auto call = [](const MujocoModel*, MujocoData*, int, void* argument) { (*static_cast<Work*>(argument))(); };
+    return guarded_call(api, call, &work);
 }
 
 }  // namespace armctl

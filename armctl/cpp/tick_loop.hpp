@@ -185,8 +185,8 @@ private:
             .push = ticks.push,
         };
         Wrench truth;
-        run.sensor->measure(signals, truth).store(wrench_);
-        truth.store(ticks.wrench_rows.row(row));
+        wrench_ = run.sensor->measure(signals, truth);
+        copy(truth, ticks.wrench_rows.row(row));
         return wrench_;
     }
 
@@ -223,7 +223,7 @@ private:
     double diverged_speed_;
     std::mutex in_use_;
     Numbers q_ = zeros(), q_seen_ = zeros(), v_seen_ = zeros(), tau_ = zeros();
-    std::array<double, 6> wrench_{};
+    Wrench wrench_{};
 };
 
 }  // namespace armctl

@@ -54,7 +54,7 @@ void bind_wrench_sensor(nb::module_& module) {
         .def(
             "read",
             [](const WrenchSensor& self, const OptionalIn& push, const Out& wrench) {
-                self.read(optional(push, "push")).store(wrench.vector(6, "wrench"));
+                copy(self.read(optional(push, "push")), wrench.vector(6, "wrench"));
             },
             "push"_a.none(), "wrench"_a, "The true wrench now, (6,), with that of the plant's pushes.")
         .def(
@@ -71,8 +71,8 @@ void bind_wrench_sensor(nb::module_& module) {
                     .push = optional(push, "push"),
                 };
                 Wrench true_wrench;
-                self.measure(signals, true_wrench).store(wrench.vector(6, "wrench"));
-                true_wrench.store(truth.vector(6, "truth"));
+                copy(self.measure(signals, true_wrench), wrench.vector(6, "wrench"));
+                copy(true_wrench, truth.vector(6, "truth"));
             },
             "q"_a, "v"_a, "tau"_a, "t"_a, "noise"_a.none(), "push"_a.none(), "wrench"_a, "truth"_a,
             "What the sensor gives at this tick, and the true wrench, (6,) each.\n\n"
