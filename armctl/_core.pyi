@@ -217,27 +217,14 @@ class Dynamics:
     def locate(self, q: numpy.ndarray) -> None:
         """Places the joints at q (n,) rad, and finds their frames in the world."""
 
-    def gravity(self, q: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """The torque that holds the arm at rest, (n,) N m. Places the joints."""
-
     def inverse_dynamics(self, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, tau: numpy.ndarray) -> None:
         """
         The torque that changes the velocity by a dt over the period, (n,) N m, without dry friction. Places the joints.
         """
 
-    def add_friction(self, v_ref: numpy.ndarray, a_ref: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """
-        Adds the torque against dry friction on the reference motion, where the joints are placed.
-        """
-
     def mass_matrix(self, M: numpy.ndarray) -> None:
         """
         The (n, n) mass matrix with armature, kg m^2, where the joints are placed.
-        """
-
-    def tip(self, position: numpy.ndarray, rotation: numpy.ndarray) -> None:
-        """
-        Position (3,) m and rotation matrix (3, 3) of the tip in the world, after `locate`.
         """
 
     def tip_jacobian(self, J: numpy.ndarray) -> None:

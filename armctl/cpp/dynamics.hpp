@@ -139,6 +139,14 @@ public:
         for (size_t i = 0; i < M.rows; ++i) { M(i, i) += model_->step_inertia(i); }
     }
 
+    // Replaces torques (n,) by the accelerations that they add over a control period, where the joints are placed.
+    void accelerate(Result torques) {
+        mass_matrix(inertia_);
+        add_step_inertia(inertia_);
+        factorize(inertia_);
+        solve(inertia_, torques);
+    }
+
     // Finds the frames of all joints in the world, where the joints are placed.
     void locate() {
         for (size_t j = 0; j < links_.size(); ++j) {

@@ -97,7 +97,6 @@ def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioM
     tau = np.zeros(n)
     M = np.zeros((n, n))
     J = np.zeros((6, n))
-    position = np.zeros(3)
     rng = np.random.default_rng(0)
     for _ in range(_CHECKED_STATES):
         q, v, a = rng.uniform(-1.0, 1.0, (3, n))
@@ -105,12 +104,11 @@ def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioM
         compiled.mass_matrix(M)
         compiled.locate(q)
         compiled.tip_jacobian(J)
-        compiled.tip(position, np.zeros((3, 3)))
         pairs = {
             "inverse dynamics": (tau, dynamics.inverse_dynamics(q, v, a)),
             "mass matrix": (M, dynamics.mass_matrix(q)),
             "tip Jacobian": (J, pinocchio_model.jacobian(q)),
-            "tip position": (position, pinocchio_model.tip(q)[0]),
+            "tip position": (tips(core, q[None])[0][0], pinocchio_model.tip(q)[0]),
         }
         for what, (result, reference) in pairs.items():
             error = float(np.abs(result - reference).max() / max(1.0, np.abs(reference).max()))

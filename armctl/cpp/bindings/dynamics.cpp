@@ -38,9 +38,6 @@ void bind_workspace(nb::module_& module) {
             "locate", [](Dynamics& self, const In& q) { self.locate(joints(self, q, "q")); }, "q"_a,
             "Places the joints at q (n,) rad, and finds their frames in the world.")
         .def(
-            "gravity", [](Dynamics& self, const In& q, const Out& tau) { self.gravity(joints(self, q, "q"), joints(self, tau, "tau")); },
-            "q"_a, "tau"_a, "The torque that holds the arm at rest, (n,) N m. Places the joints.")
-        .def(
             "inverse_dynamics",
             [](Dynamics& self, const In& q, const In& v, const In& a, const Out& tau) {
                 self.inverse_dynamics(joints(self, q, "q"), joints(self, v, "v"), joints(self, a, "a"), joints(self, tau, "tau"));
@@ -48,26 +45,12 @@ void bind_workspace(nb::module_& module) {
             "q"_a, "v"_a, "a"_a, "tau"_a,
             "The torque that changes the velocity by a dt over the period, (n,) N m, without dry friction. Places the joints.")
         .def(
-            "add_friction",
-            [](Dynamics& self, const In& v_ref, const In& a_ref, const Out& tau) {
-                self.add_friction(joints(self, v_ref, "v_ref"), joints(self, a_ref, "a_ref"), joints(self, tau, "tau"));
-            },
-            "v_ref"_a, "a_ref"_a, "tau"_a, "Adds the torque against dry friction on the reference motion, where the joints are placed.")
-        .def(
             "mass_matrix",
             [](Dynamics& self, const Out& M) {
                 const size_t n = self.model().n();
                 self.mass_matrix(M.matrix(n, n, "M"));
             },
             "M"_a, "The (n, n) mass matrix with armature, kg m^2, where the joints are placed.")
-        .def(
-            "tip",
-            [](const Dynamics& self, const Out& position, const Out& rotation) {
-                const Pose tip = self.tip();
-                tip.translation.store(position.vector(3, "position"));
-                tip.rotation.to_rows(rotation.shaped({3, 3}, "rotation"));
-            },
-            "position"_a, "rotation"_a, "Position (3,) m and rotation matrix (3, 3) of the tip in the world, after `locate`.")
         .def(
             "tip_jacobian", [](Dynamics& self, const Out& J) { copy(self.tip_jacobian().numbers(), J.shaped({6, self.model().n()}, "J")); },
             "J"_a, "The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.")

@@ -63,7 +63,7 @@ private:
         for (size_t i = 0; i < tau.size(); ++i) {
             further_acceleration_[i] = added_torque_[i] + clipped(tau[i], torque_limit_[i]) - tau[i];
         }
-        accelerate(further_acceleration_);
+        dynamics_.accelerate(further_acceleration_);
         for (size_t i = 0; i < tau.size(); ++i) { acceleration()[i] = acceleration_[i] + further_acceleration_[i]; }
     }
 

@@ -69,7 +69,7 @@ protected:
         }
         if (!is_clipped) { return; }
         // What the motors cut off is no disturbance.
-        accelerate(lost_);
+        dynamics_.accelerate(lost_);
         for (size_t i = 0; i < joints(); ++i) { acceleration()[i] += lost_[i]; }
     }
 

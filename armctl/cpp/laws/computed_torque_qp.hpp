@@ -123,11 +123,9 @@ private:
     void add_acceleration_of_added_torque() {
         const Vector added_torque = unlimited_.added_torque();
         if (std::ranges::all_of(added_torque, [](double torque) { return torque == 0.0; })) { return; }
-        factors_ = M_;
-        factorize(factors_);
         const Result acceleration = deviation_;  // is not known yet
         copy(added_torque, acceleration);
-        solve(factors_, acceleration);
+        dynamics_.accelerate(acceleration);
         for (size_t i = 0; i < joints(); ++i) { desired_[i] += acceleration[i]; }
     }
 

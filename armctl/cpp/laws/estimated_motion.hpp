@@ -45,14 +45,6 @@ protected:
         }
     }
 
-    // Replaces torques (n,) by the accelerations that they add over the coming period, where the joints are placed.
-    void accelerate(Result torques) {
-        dynamics_.mass_matrix(inertia_);
-        dynamics_.add_step_inertia(inertia_);
-        factorize(inertia_);
-        solve(inertia_, torques);
-    }
-
     Dynamics dynamics_;
     double dt_;             // s, the period
     double stiffness_;      // 1/s^2
@@ -68,7 +60,6 @@ private:
     // Change of position / (acceleration x dt^2) in a period from rest: 1 if the period is a step of MuJoCo, whose last velocity
     // moves the joint; 1/2 if the arm moves continuously.
     double position_step_;
-    DenseMatrix inertia_{joints(), joints()};
 };
 
 }  // namespace armctl
