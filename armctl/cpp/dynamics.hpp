@@ -44,13 +44,8 @@ public:
     // The torque that holds the arm at rest, (n,) N m, with gravity compensation and springs. Places the joints.
     void gravity(Vector q, Result tau) {
         place(q);
-        for (Link& link : links_) {
-            link.velocity = 0.0;
-            link.acceleration = 0.0;
-        }
-        newton_euler();
-        if (model_->has_springs) { add_springs(); }
-        torques_of_arm(tau);
+        std::ranges::fill(change_, 0.0);
+        smooth_torque(change_, change_, tau);
     }
 
     // The torque that changes the velocity by a dt over the coming control period, (n,) N m, without dry friction. Places the
@@ -75,8 +70,8 @@ public:
     void add_friction(Vector v_ref, Vector a_ref, Result tau) {
         if (!model_->has_friction) { return; }
         const double half = model_->half_step;
-        std::fill(change_.begin(), change_.end(), 0.0);
-        if (half == 0.0 && model_->step != 0.0 && model_->has_implicit_forces) {
+        std::ranges::fill(change_, 0.0);
+        if (half == 0.0 && model_->step != 0.0) {
             // In a discrete step, the friction constraint acts on the acceleration before implicit forces.
             if (model_->has_implicit_nonlinear) { implicit_change(v_ref, a_ref, change_); }
             for (size_t i = 0; i < tau.size(); ++i) {
@@ -105,10 +100,10 @@ public:
             difference_[i] = v[i] - w[i];
         }
         for (Link& link : links_) { link.acceleration = 0.0; }
-        set_velocities(sum_);
+        set(&Link::velocity, sum_);
         newton_euler();
         torques_of_arm(tau);
-        set_velocities(difference_);
+        set(&Link::velocity, difference_);
         newton_euler();
         torques_of_arm(difference_);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = 0.25 * (tau[i] - difference_[i]); }
@@ -192,8 +187,8 @@ public:
     // locates the joints.
     BodyMotion tip_motion(Vector q, Vector v, Vector a) {
         place_in_middle(q, v, a);
-        set_velocities(middle_velocity_);
-        set_accelerations(a);
+        set(&Link::velocity, middle_velocity_);
+        set(&Link::acceleration, a);
         for (size_t j = 0; j < model_->chain_length; ++j) { move_link(j); }
         locate();
         const BodyMotion& last = links_[model_->chain_length - 1].motion;
@@ -235,18 +230,15 @@ private:
         place(middle_position_);
     }
 
-    void set_velocities(Vector v) {
-        for (size_t j = 0; j < links_.size(); ++j) { links_[j].velocity = joint_value(j, v); }
-    }
-
-    void set_accelerations(Vector a) {
-        for (size_t j = 0; j < links_.size(); ++j) { links_[j].acceleration = joint_value(j, a); }
+    // Sets the velocities or accelerations of all joints from those of the arm's n.
+    void set(double Link::* value, Vector x) {
+        for (size_t j = 0; j < links_.size(); ++j) { links_[j].*value = joint_value(j, x); }
     }
 
     // The torque in continuous time, at the placed positions.
     void smooth_torque(Vector v, Vector a, Result tau) {
-        set_velocities(v);
-        set_accelerations(a);
+        set(&Link::velocity, v);
+        set(&Link::acceleration, a);
         newton_euler();
         if (model_->has_springs) { add_springs(); }
         torques_of_arm(tau);
@@ -347,7 +339,7 @@ private:
             coriolis_product(v, a, change);
             for (double& value : change) { value *= 2.0; }
         } else {
-            std::fill(change.begin(), change.end(), 0.0);
+            std::ranges::fill(change, 0.0);
         }
         for (size_t i = 0; i < change.size(); ++i) {
             const Polynomial& damping = model_->drives[i].damping;
@@ -398,10 +390,7 @@ private:
     }
 
     // The velocity or acceleration of a joint, from those of the arm's n.
-    double joint_value(size_t joint, Vector x) const {
-        if (model_->is_plain) { return x[joint]; }
-        return dot(Vector(model_->ratios).subspan(joint * x.size(), x.size()), x);
-    }
+    double joint_value(size_t joint, Vector x) const { return model_->is_plain ? x[joint] : dot(model_->ratio.row(joint), x); }
 
     // A link alone, without the links behind it.
     static CompositeInertia own_inertia(const Joint& joint) {

@@ -141,13 +141,4 @@ private:
     Numbers velocity_, change_;  // (n,)
 };
 
-// The twists (T, 6) of the tip, linear first, world axes, at positions and velocities (T, n).
-inline void tip_twists(Dynamics& dynamics, Matrix q, Matrix v, MatrixResult twists) {
-    for (size_t k = 0; k < q.rows; ++k) {
-        dynamics.locate(q.row(k));
-        const Matrix J = dynamics.tip_jacobian();
-        for (size_t r = 0; r < 6; ++r) { twists(k, r) = dot(J.row(r), v.row(k)); }
-    }
-}
-
 }  // namespace armctl

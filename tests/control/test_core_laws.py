@@ -100,7 +100,10 @@ def test_a_c_function_is_a_law(bundled: armctl.Arm):
     ("make", "what"),
     [
         (lambda arm: _core.PD(stiffness=np.ones(3), damping=np.ones(2)), r"damping: need an array of shape \(3,\), got \(2,\)"),
-        (lambda arm: _core.PDGravity(arm.core_model, stiffness=np.ones(2), damping=np.ones(2)), r"stiffness: need an array of shape \(3,\)"),
+        (
+            lambda arm: _core.PDGravity(arm.core_model, stiffness=np.ones(2), damping=np.ones(2)),
+            r"stiffness: need an array of shape \(3,\)",
+        ),
         (
             lambda arm: _core.TorqueRateLimit(MADE["pd"](arm).make_law(0.0, False), tau_rate_max=np.ones(2), dt=0.002),
             "tau_rate",

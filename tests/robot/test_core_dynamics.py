@@ -31,22 +31,20 @@ def reference(arm: armctl.Arm) -> Dynamics:
 
 def test_torques_in_continuous_time_are_those_of_pinocchio(arm: armctl.Arm, reference: Dynamics):
     model = core_model(arm.model, arm.pinocchio_model)
-    dynamics = _core.Dynamics(model)
     tau = np.zeros(arm.n)
     for q, v, a in states(arm):
-        _core.gravity_along(model, q[None], tau[None])
+        _core.gravity(model, q[None], tau[None])
         assert_equal(tau, reference.gravity(q))
-        dynamics.inverse_dynamics(q, v, a, tau)
+        _core.inverse_dynamics(model, q[None], v[None], a[None], tau[None])
         assert_equal(tau, reference.inverse_dynamics(q, v, a))
 
 
 def test_torques_of_a_step_are_those_of_pinocchio_with_implicit_forces(arm: armctl.Arm, reference: Dynamics):
     model = core_model(arm.model, arm.pinocchio_model).for_period(DT, False)
-    dynamics = _core.Dynamics(model)
     feedforward = _core.PDFeedforward(model, stiffness=np.zeros(arm.n), damping=np.zeros(arm.n))
     tau = np.zeros(arm.n)
     for q, v, a in states(arm):
-        dynamics.inverse_dynamics(q, v, a, tau)
+        _core.inverse_dynamics(model, q[None], v[None], a[None], tau[None])
         assert_equal(tau, reference.discrete_inverse_dynamics(q, v, a, DT))
         with_friction = np.zeros(arm.n)
         feedforward.torque(q, v, np.array([q, v, a, v, a]), np.zeros(0), with_friction)
@@ -54,33 +52,30 @@ def test_torques_of_a_step_are_those_of_pinocchio_with_implicit_forces(arm: armc
 
 
 def test_torques_of_a_continuous_motion_are_those_in_the_middle_of_the_period(arm: armctl.Arm, reference: Dynamics):
-    dynamics = _core.Dynamics(core_model(arm.model, arm.pinocchio_model).for_period(DT, True))
+    model = core_model(arm.model, arm.pinocchio_model).for_period(DT, True)
     tau = np.zeros(arm.n)
     for q, v, a in states(arm):
-        dynamics.inverse_dynamics(q, v, a, tau)
+        _core.inverse_dynamics(model, q[None], v[None], a[None], tau[None])
         assert_equal(tau, reference.inverse_dynamics(q + 0.5 * DT * v, v + 0.5 * DT * a, a))
 
 
 def test_the_mass_matrix_is_that_of_pinocchio(arm: armctl.Arm, reference: Dynamics):
-    dynamics = _core.Dynamics(core_model(arm.model, arm.pinocchio_model))
+    model = core_model(arm.model, arm.pinocchio_model)
     M = np.zeros((arm.n, arm.n))
     for q, _, _ in states(arm):
-        dynamics.locate(q)
-        dynamics.mass_matrix(M)
+        _core.mass_matrices(model, q[None], M.reshape(1, -1))
         assert_equal(M, reference.mass_matrix(q))
 
 
 def test_the_tip_is_that_of_pinocchio(arm: armctl.Arm):
     model = core_model(arm.model, arm.pinocchio_model)
-    dynamics = _core.Dynamics(model)
     J = np.zeros((6, arm.n))
     position = np.zeros(3)
     rotation = np.zeros((3, 3))
     quat = np.zeros(4)
     for q, _, _ in states(arm):
-        dynamics.locate(q)
-        dynamics.tip_jacobian(J)
-        _core.tips(model, q[None], position[None], rotation[None])
+        _core.tip_jacobians(model, q[None], J.reshape(1, -1))
+        _core.tips(model, q[None], position[None], rotation.reshape(1, -1))
         expected_position, expected_rotation = arm.pinocchio_model.tip(q)
         assert_equal(position, expected_position)
         assert_equal(rotation, expected_rotation)

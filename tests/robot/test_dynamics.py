@@ -310,12 +310,11 @@ class Compiled:
     def __init__(self, arm: Arm, dt: float, continuous: bool):
         self.n = arm.n
         self.model = arm.core_model.for_period(dt, continuous)
-        self.dynamics = _core.Dynamics(self.model)
         self.feedforward = _core.PDFeedforward(self.model, stiffness=np.zeros(arm.n), damping=np.zeros(arm.n))
 
     def inverse_dynamics(self, q, v, a):
         tau = np.zeros(self.n)
-        self.dynamics.inverse_dynamics(q, v, a, tau)
+        _core.inverse_dynamics(self.model, q[None], v[None], a[None], tau[None])
         return tau
 
     def friction(self, q, v, a):
@@ -325,7 +324,7 @@ class Compiled:
 
     def gravity(self, q):
         tau = np.zeros(self.n)
-        _core.gravity_along(self.model, q[None], tau[None])
+        _core.gravity(self.model, q[None], tau[None])
         return tau
 
 

@@ -112,18 +112,10 @@ void bind_computed_torque(nb::module_& module) {
                                                          "Computed torque with an observer, which learns payload, friction and delay.")
         .def_prop_ro("estimate", &shared<ComputedTorqueLearning, &ComputedTorqueLearning::estimate>,
                      "The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.");
-    module.def(
-        "payload_regressor",
-        [](Dynamics& dynamics, const In& q, const In& v, const In& a, const Out& Y) {
-            const size_t n = dynamics.model().n();
-            payload_regressor(dynamics, q.vector(n, "q"), v.vector(n, "v"), a.vector(n, "a"), Y.matrix(n, body_parameters, "Y"));
-        },
-        "dynamics"_a, "q"_a, "v"_a, "a"_a, "Y"_a,
-        "The torques per inertial parameter of a body at the tip, written into Y (n, 10): mass, first moment, second moments.");
 }
 
-nb::object numpy_copy(Vector numbers, std::initializer_list<size_t> shape) {
-    return nb::cast(nb::ndarray<nb::numpy, const double>(numbers.data(), shape), nb::rv_policy::copy);
+nb::object numpy_copy(Vector numbers) {
+    return nb::cast(nb::ndarray<nb::numpy, const double>(numbers.data(), {numbers.size()}), nb::rv_policy::copy);
 }
 
 void bind_qp(nb::module_& module) {
@@ -131,12 +123,13 @@ void bind_qp(nb::module_& module) {
         .def(
             "last_program",
             [](const ComputedTorqueQP& self) -> nb::object {
-                const size_t n = self.joints();
                 if (!self.is_limited()) { return nb::none(); }
-                return nb::make_tuple(numpy_copy(self.H(), {n, n}), numpy_copy(self.M(), {n, n}), numpy_copy(self.lower(), {2 * n}),
-                                      numpy_copy(self.upper(), {2 * n}), numpy_copy(self.torque(), {n}));
+                const QuadraticProgram program = self.program();
+                return nb::make_tuple(numpy_copy(program.H.numbers()), numpy_copy(program.M.numbers()), numpy_copy(program.lower),
+                                      numpy_copy(program.upper), numpy_copy(self.torque()));
             },
-            "H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without\n"
+            "H and M row by row, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m "
+            "without\n"
             "limits; None if the torque was not limited.");
     bind<MPC, ComputedTorqueQP>(module, "MPC", "Model predictive control within limits of torque, velocity and position.")
         .def_prop_ro("counts", &shared<MPC, &MPC::counts>,

@@ -31,13 +31,12 @@ public:
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = clipped(dot(M_.row(i), deviation_, tau[i]), tau_max_[i]); }
     }
 
-    // The program of the last tick, if the torque was limited: minimize x H x / 2 subject to lower <= (x, M x) <= upper.
+    // The program of the last tick, with f = 0; M is the inertia of one control period, so the torque of a deviation x is M x.
+    QuadraticProgram program() const { return {.H = H_, .f = relaxed_cost_, .M = M_, .lower = lower_, .upper = upper_}; }
+
+    // Whether the torque was limited, and the torque without limits, (n,) N m.
     bool is_limited() const { return is_limited_; }
-    Vector H() const { return H_.numbers(); }  // (n, n)
-    Vector M() const { return M_.numbers(); }  // (n, n) inertia of one control period: the torque of a deviation is M x
-    Vector lower() const { return lower_; }    // (2n,) bounds of x and M x
-    Vector upper() const { return upper_; }    // (2n,)
-    Vector torque() const { return torque_; }  // (n,) N m, without limits
+    Vector torque() const { return torque_; }
 
 protected:
     // Changes the desired acceleration and the torque before the limits of this tick; M_ and H_ are those of this tick.
@@ -201,7 +200,7 @@ private:
     // Solves the program. Where limits contradict each other, those of velocity and position become costs.
     void find_deviation() {
         std::ranges::fill(relaxed_cost_, 0.0);
-        if (solver_.solve({.H = H_, .f = relaxed_cost_, .M = M_, .lower = lower_, .upper = upper_}, deviation_)) { return; }
+        if (solver_.solve(program(), deviation_)) { return; }
         relax_bounds();
         const QuadraticProgram relaxed{.H = relaxed_H_, .f = relaxed_cost_, .M = M_, .lower = relaxed_lower_, .upper = relaxed_upper_};
         if (!solver_.solve(relaxed, deviation_)) { std::ranges::fill(deviation_, 0.0); }
