@@ -56,12 +56,13 @@ Contacts::Contacts(const ContactLayout& layout, const MujocoData* data)
     : layout_(layout), first_(number_at<const std::byte*>(data, layout.array)),
       count_(static_cast<size_t>(number_at<std::int32_t>(data, layout.count))) {}
 
-GeomPair Contacts::geoms(size_t contact) const { return number_at<GeomPair>(first_ + contact * layout_.stride, layout_.geoms); }
+std::array<std::int32_t, 2> Contacts::geoms(size_t contact) const {
+    return number_at<std::array<std::int32_t, 2>>(first_ + contact * layout_.stride, layout_.geoms);
+}
 
 bool Contacts::touch(std::int32_t geom) const {
     for (size_t k = 0; k < count_; ++k) {
-        const GeomPair pair = geoms(k);
-        if (pair.first == geom || pair.second == geom) { return true; }
+        if (std::ranges::count(geoms(k), geom) > 0) { return true; }
     }
     return false;
 }

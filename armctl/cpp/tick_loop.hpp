@@ -9,10 +9,10 @@
 
 namespace armctl {
 
-// The geoms that touch from a row on.
+// The geoms that touch from a row on: pairs of int32 as bytes.
 struct ContactChange {
     size_t row = 0;
-    std::vector<GeomPair> geoms;
+    std::string geoms;
 };
 
 enum class TickStatus : std::uint8_t { complete, diverged, not_finite };
@@ -104,7 +104,7 @@ public:
 
     // Runs the ticks with the law. Without a delay, the motors receive the command itself, and nothing pushes. The sensor measures
     // the wrench for a law that needs it. `touching` are the geoms that touch in the row before.
-    TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::vector<GeomPair> touching) {
+    TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::string touching) {
         const std::unique_lock lock(in_use_, std::try_to_lock);
         if (!lock.owns_lock()) { throw InputError("simulation: another thread runs it; give each thread a simulation of its own"); }
         Run run{
@@ -129,7 +129,7 @@ private:
         Law& law;
         Delay* delay;
         WrenchSensor* sensor;
-        std::vector<GeomPair> touching;
+        std::string touching;
         TickEnd end;
     };
 
@@ -204,11 +204,13 @@ private:
     // Notes the geoms that touch, if they changed.
     void note_contacts(Run& run, size_t row) const {
         const Contacts contacts(api_->contacts, simulation_.data);
-        bool is_same = contacts.count() == run.touching.size();
-        for (size_t k = 0; is_same && k < contacts.count(); ++k) { is_same = contacts.geoms(k) == run.touching[k]; }
-        if (is_same) { return; }
-        run.touching.resize(contacts.count());
-        for (size_t k = 0; k < contacts.count(); ++k) { run.touching[k] = contacts.geoms(k); }
+        std::string geoms;
+        for (size_t k = 0; k < contacts.count(); ++k) {
+            const std::array<std::int32_t, 2> pair = contacts.geoms(k);
+            geoms.append(reinterpret_cast<const char*>(pair.data()), sizeof(pair));
+        }
+        if (geoms == run.touching) { return; }
+        run.touching = std::move(geoms);
         run.end.contacts.push_back({row, run.touching});
     }
 

@@ -79,18 +79,12 @@ void bind_wrench_sensor(nb::module_& module) {
             "The state and the torque of the motors in the last tick are measured, (n,) each.");
 }
 
-std::vector<GeomPair> geoms_of(const nb::bytes& geoms) {
-    const GeomPair* first = static_cast<const GeomPair*>(geoms.data());
-    const size_t count = geoms.size() / sizeof(GeomPair);
-    return {first, first + count};
-}
-
 void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSensor* sensor, const nb::bytes& touching,
                const nb::kwargs& given) {
     const Arguments arguments(given);
     const Ticks ticks(arguments, loop.joints(), loop.simulation().qpos.size());
     loop.check(ticks, law, delay, sensor);
-    std::vector<GeomPair> geoms = geoms_of(touching);
+    std::string geoms(touching.c_str(), touching.size());
     // The ticks use a law of their own, so that another simulation may use this one at the same time.
     const std::unique_ptr<Law> own = law.clone();
     own->set_memory(law.memory());
@@ -104,7 +98,7 @@ void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSenso
 nb::list contact_changes(const TickEnd& end) {
     nb::list changes;
     for (const ContactChange& change : end.contacts) {
-        changes.append(nb::make_tuple(change.row, nb::bytes(change.geoms.data(), change.geoms.size() * sizeof(GeomPair))));
+        changes.append(nb::make_tuple(change.row, nb::bytes(change.geoms.data(), change.geoms.size())));
     }
     return changes;
 }
