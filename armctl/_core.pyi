@@ -586,12 +586,7 @@ class CFunctionLaw(Law):
     A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.
     """
 
-    def __init__(
-        self, address: int, *, n: int, parameters: numpy.ndarray, memory_size: int = 0, needs_wrench: bool = False
-    ) -> None:
-        """
-        A law from the address of its function, which has to exist as long as the law.
-        """
+    def __init__(self, address: int, **gains) -> None: ...
 
 class PDFeedforward(Law):
     """PD with the torque of the reference motion."""

@@ -51,13 +51,8 @@ public:
     // The torque that changes the velocity by a dt over the coming control period, (n,) N m, without dry friction. Places the
     // joints.
     void inverse_dynamics(Vector q, Vector v, Vector a, Result tau) {
-        if (model_->half_step != 0.0) {
-            place_in_middle(q, v, a);
-            smooth_torque(middle_velocity_, a, tau);
-            return;
-        }
-        place(q);
-        smooth_torque(v, a, tau);
+        place_in_middle(q, v, a);
+        smooth_torque(middle_velocity_, a, tau);
         if (model_->step == 0.0) { return; }
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += model_->step_inertia(i) * a[i]; }
         if (model_->has_implicit_nonlinear) {

@@ -178,7 +178,7 @@ class InverseDynamics:
     def smooth(self, q: Array, v: Array, a: Array) -> Array:
         """Without dry friction."""
         tau = np.empty(q.shape)
-        _core.inverse_dynamics(self._model, *(np.ascontiguousarray(rows) for rows in (q, v, a)), tau)
+        _core.inverse_dynamics(self._model, np.ascontiguousarray(q), np.ascontiguousarray(v), np.ascontiguousarray(a), tau)
         return tau
 
     def total(self, q: Array, v: Array, a: Array) -> Array:

@@ -78,11 +78,11 @@ void bind_law(nb::module_& module) {
         .def("clone", &Law::clone, "The same law and gains with memory of its own, at the start of a run.");
 }
 
-// The class of a law with a model, or around another law. Its keyword arguments have the names of its members.
+// The class of a law with a model, around another law, or of a function. Its keyword arguments have the names of its members.
 template <class ConcreteLaw, class Base = Law, class Of = Model>
-nb::class_<ConcreteLaw, Base> bind(nb::module_& module, const char* name, const char* doc) {
+nb::class_<ConcreteLaw, Base> bind(nb::module_& module, const char* name, const char* doc, const char* of_name = "of") {
     const auto make = [](const Of& of, const nb::kwargs& gains) { return new ConcreteLaw(of, Arguments(gains)); };
-    return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), "of"_a, "gains"_a);
+    return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), nb::arg(of_name), "gains"_a);
 }
 
 void bind_without_model(nb::module_& module) {
@@ -92,14 +92,8 @@ void bind_without_model(nb::module_& module) {
     bind<TorqueRateLimit, Law, std::shared_ptr<Law>>(module, "TorqueRateLimit", "A law whose torques change at limited rates.");
     bind<TorqueFilter, Law, std::shared_ptr<Law>>(module, "TorqueFilter",
                                                   "A law whose torques go through filters of second-order sections.");
-    nb::class_<CFunctionLaw, Law>(module, "CFunctionLaw",
-                                  "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.")
-        .def(nb::new_([](std::uintptr_t address, size_t n, const In& parameters, size_t memory_size, bool needs_wrench) {
-                 const Vector numbers = parameters.vector(parameters.length("parameters"), "parameters");
-                 return new CFunctionLaw(reinterpret_cast<LawFunction>(address), n, numbers, memory_size, needs_wrench);
-             }),
-             "address"_a, nb::kw_only(), "n"_a, "parameters"_a, "memory_size"_a = 0, "needs_wrench"_a = false,
-             "A law from the address of its function, which has to exist as long as the law.");
+    bind<CFunctionLaw, Law, std::uintptr_t>(module, "CFunctionLaw",
+                                            "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.", "address");
 }
 
 void bind_computed_torque(nb::module_& module) {

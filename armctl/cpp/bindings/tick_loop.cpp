@@ -1,7 +1,6 @@
 // MuJoCo's functions, the tick loop of simulations, and what it is made of.
 #include "../tick_loop.hpp"
 
-#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -39,10 +38,6 @@ void bind_delay(nb::module_& module) {
             "tau"_a, "delayed"_a, "Takes the command of this tick, (n,) N m, and gives that of some ticks ago.");
 }
 
-using OptionalIn = std::optional<In>;
-
-Vector optional(const OptionalIn& wrench, const char* name) { return wrench ? wrench->vector(6, name) : Vector(); }
-
 void bind_wrench_sensor(nb::module_& module) {
     nb::class_<WrenchSensor>(module, "WrenchSensor", "The wrench of the environment on a tip, true or measured.")
         .def(nb::new_([](Api api, nb::handle model, nb::handle data, const Model& arm, const nb::kwargs& given) {
@@ -53,22 +48,22 @@ void bind_wrench_sensor(nb::module_& module) {
         .def("reset", &WrenchSensor::reset, "Forgets all measurements.")
         .def(
             "read",
-            [](const WrenchSensor& self, const OptionalIn& push, const Out& wrench) {
-                copy(self.read(optional(push, "push")), wrench.vector(6, "wrench"));
+            [](const WrenchSensor& self, const In& push, const Out& wrench) {
+                copy(self.read(push.optional_vector(6, "push")), wrench.vector(6, "wrench"));
             },
             "push"_a.none(), "wrench"_a, "The true wrench now, (6,), with that of the plant's pushes.")
         .def(
             "measure",
-            [](WrenchSensor& self, const In& q, const In& v, const In& tau, double t, const OptionalIn& noise, const OptionalIn& push,
-               const Out& wrench, const Out& truth) {
+            [](WrenchSensor& self, const In& q, const In& v, const In& tau, double t, const In& noise, const In& push, const Out& wrench,
+               const Out& truth) {
                 const size_t n = self.joints();
                 const WrenchSignals signals{
                     .t = t,
                     .q = q.vector(n, "q"),
                     .v = v.vector(n, "v"),
                     .tau = tau.vector(n, "tau"),
-                    .noise = optional(noise, "noise"),
-                    .push = optional(push, "push"),
+                    .noise = noise.optional_vector(6, "noise"),
+                    .push = push.optional_vector(6, "push"),
                 };
                 Wrench true_wrench;
                 copy(self.measure(signals, true_wrench), wrench.vector(6, "wrench"));

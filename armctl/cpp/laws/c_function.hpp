@@ -13,9 +13,10 @@ using LawFunction = void (*)(const double* parameters, const double* q, const do
 
 class CFunctionLaw final : public Cloneable<CFunctionLaw> {
 public:
-    CFunctionLaw(LawFunction function, size_t n, Vector parameters, size_t memory_size, bool needs_wrench)
-        : Cloneable(n, memory_size, needs_wrench), function_(function), parameters_(parameters.begin(), parameters.end()),
-          reference_(5, n) {}
+    // From the address of a function, which has to exist as long as the law.
+    CFunctionLaw(std::uintptr_t address, const Arguments& gains)
+        : Cloneable(gains.count("n"), gains.count("memory_size"), gains.flag("needs_wrench")),
+          function_(reinterpret_cast<LawFunction>(address)), parameters_(gains.numbers(gains.length("parameters"), "parameters")) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const std::array<Vector, 5> rows{setpoint.q, setpoint.v, setpoint.a, setpoint.v_tick, setpoint.a_tick};
@@ -29,7 +30,7 @@ public:
 private:
     LawFunction function_;
     Numbers parameters_;
-    DenseMatrix reference_;  // (5, n)
+    DenseMatrix reference_{5, joints()};
 };
 
 }  // namespace armctl

@@ -43,34 +43,28 @@ public:
         if (has_estimate()) { predict(tau); }
     }
 
-    // Of the last tick, (n,): the acceleration of the feedback, and the torque of the added inertia and of the damping, which
-    // inverse dynamics does not contain.
-    Vector correction() const { return correction_; }
-    Vector added_torque() const { return added_torque_; }
-
 protected:
     // Finds the acceleration of the feedback.
     virtual void correct([[maybe_unused]] Vector q_ref) {
         for (size_t i = 0; i < joints(); ++i) { correction_[i] = stiffness_ * error_[i] + damping_ * error_rate_[i]; }
     }
 
-    Numbers error_ = zeros(), error_rate_ = zeros();  // of the last tick
-    Numbers correction_ = zeros();
+    // Of the last tick.
+    Numbers error_ = zeros(), error_rate_ = zeros();
+    Numbers correction_ = zeros();    // the acceleration of the feedback
+    Numbers added_torque_ = zeros();  // of the added inertia and of the damping, which inverse dynamics does not contain
 
 private:
     // The acceleration of the coming period: the commanded one, and that of added torques and of what the motors cut off.
     void predict(Vector tau) {
-        for (size_t i = 0; i < tau.size(); ++i) {
-            further_acceleration_[i] = added_torque_[i] + clipped(tau[i], torque_limit_[i]) - tau[i];
-        }
+        for (size_t i = 0; i < tau.size(); ++i) { further_acceleration_[i] = added_torque_[i] + clipped(tau[i], tau_max_[i]) - tau[i]; }
         dynamics_.accelerate(further_acceleration_);
         for (size_t i = 0; i < tau.size(); ++i) { acceleration()[i] = acceleration_[i] + further_acceleration_[i]; }
     }
 
     Numbers added_inertia_;  // (n,) kg m^2, with which the feedback of joints of negligible inertia acts
     bool textbook_;
-    Numbers acceleration_ = zeros(), added_torque_ = zeros();
-    Numbers further_acceleration_ = zeros();
+    Numbers acceleration_ = zeros(), further_acceleration_ = zeros();
 };
 
 }  // namespace armctl

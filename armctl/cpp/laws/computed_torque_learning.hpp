@@ -42,16 +42,25 @@ private:
 
     // What belongs to the last tick, and to the estimator, which sees regressors and torques through two low-passes.
     struct Memory {
-        Result estimate;                                  // (p,)
-        std::array<MatrixResult, 2> filtered_regressors;  // (n, p) behind each low-pass
-        std::array<Result, 2> filtered_torques;           // (n,) behind each low-pass
-        MatrixResult information;                         // (p, p)
-        Result information_vector;                        // (p,)
-        MatrixResult regressor;                           // (n, p) torques per unknown
-        Result fed_forward;                               // (n,) N m
-        Result needed;                                    // (n,) N m, that the model needs for the reference
-        Result last_rate;                                 // (n,) N m/s, of the torque that the reference needs
-        double& reference_moved;
+        double* next;  // part of the memory
+        size_t n;
+        size_t p;
+        Result estimate = vector(p);
+        std::array<MatrixResult, 2> filtered_regressors = {matrix(n), matrix(n)};  // behind each low-pass
+        std::array<Result, 2> filtered_torques = {vector(n), vector(n)};           // behind each low-pass
+        MatrixResult information = matrix(p);
+        Result information_vector = vector(p);
+        MatrixResult regressor = matrix(n);  // torques per unknown
+        Result fed_forward = vector(n);      // N m
+        Result needed = vector(n);           // N m, that the model needs for the reference
+        Result last_rate = vector(n);        // N m/s, of the torque that the reference needs
+        double& reference_moved = vector(1)[0];
+
+        Result vector(size_t size) {
+            next += size;
+            return {next - size, size};
+        }
+        MatrixResult matrix(size_t rows) { return {vector(rows * p).data(), rows, p}; }
     };
 
     static size_t unknown_count(size_t n) { return first_friction_unknown + n; }
@@ -61,28 +70,7 @@ private:
         return p + 3 * n * p + p * p + p + 5 * n + 1;
     }
 
-    Memory memory_parts() {
-        const size_t n = joints();
-        Result rest = own_memory();
-        const auto vector = [&rest](size_t size) {
-            const Result part = rest.first(size);
-            rest = rest.subspan(size);
-            return part;
-        };
-        const auto matrix = [&vector](size_t rows, size_t columns) { return MatrixResult{vector(rows * columns).data(), rows, columns}; };
-        return {
-            .estimate = vector(p_),
-            .filtered_regressors = {matrix(n, p_), matrix(n, p_)},
-            .filtered_torques = {vector(n), vector(n)},
-            .information = matrix(p_, p_),
-            .information_vector = vector(p_),
-            .regressor = matrix(n, p_),
-            .fed_forward = vector(n),
-            .needed = vector(n),
-            .last_rate = vector(n),
-            .reference_moved = vector(1)[0],
-        };
-    }
+    Memory memory_parts() { return {.next = own_memory().data(), .n = joints(), .p = p_}; }
 
     // Updates the estimate with the torque that the motors gave beyond the model's. The observer's estimate changes by the opposite
     // torque: the sum does not jump.

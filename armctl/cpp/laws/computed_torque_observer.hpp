@@ -62,10 +62,10 @@ protected:
         bool is_clipped = false;
         for (size_t i = 0; i < joints(); ++i) {
             tau[i] -= disturbance()[i];
-            last_torque()[i] = clipped(tau[i] + known_[i], torque_limit_[i]) - known_[i];
+            last_torque()[i] = clipped(tau[i] + known_[i], tau_max_[i]) - known_[i];
             lost_[i] = last_torque()[i] - tau[i];
             tau[i] += known_[i];
-            is_clipped = is_clipped || std::abs(tau[i]) > torque_limit_[i];
+            is_clipped = is_clipped || std::abs(tau[i]) > tau_max_[i];
         }
         if (!is_clipped) { return; }
         // What the motors cut off is no disturbance.

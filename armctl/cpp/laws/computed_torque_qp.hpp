@@ -13,15 +13,13 @@ namespace armctl {
 // in which rotations weigh less than translations, and the joints decide what the tip leaves open. If the limits contradict
 // each other, the torque limits hold and the violation of the others is minimal. If that is impossible too, because other
 // limits, which a_desired respects, contradict the torque limits, the torque of a_desired is clipped.
-class ComputedTorqueQP : public Cloneable<ComputedTorqueQP> {
+class ComputedTorqueQP : public Cloneable<ComputedTorqueQP, ComputedTorque> {
 public:
     // The gains are those of ComputedTorque and the members below. `q_min` and `q_max` may be infinite.
     ComputedTorqueQP(const Model& model, const Arguments& gains, size_t memory_size = 0)
-        : Cloneable(model->n(), memory_size), stiffness_(gains.number("stiffness")), damping_(gains.number("damping")),
-          q_min_(gains.numbers(joints(), "q_min")), q_max_(gains.numbers(joints(), "q_max")), v_max_(gains.numbers(joints(), "v_max")),
-          a_max_(gains.numbers(joints(), "a_max")), tau_max_(gains.numbers(joints(), "torque_limit")), length_(gains.number("length")),
-          dt_(gains.number("dt")), mean_share_(gains.flag("continuous") ? 0.5 : 0.0), unlimited_(model, gains), dynamics_(at_start(*model)),
-          solver_(joints()) {}
+        : Cloneable(model, gains, memory_size), q_min_(gains.numbers(joints(), "q_min")), q_max_(gains.numbers(joints(), "q_max")),
+          v_max_(gains.numbers(joints(), "v_max")), a_max_(gains.numbers(joints(), "a_max")), length_(gains.number("length")),
+          mean_share_(gains.flag("continuous") ? 0.5 : 0.0), start_(at_start(*model)), solver_(joints()) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         is_limited_ = make_program(state, setpoint, tau);
@@ -44,18 +42,13 @@ protected:
 
     DenseMatrix square() const { return {joints(), joints()}; }
 
-    double stiffness_;   // 1/s^2
-    double damping_;     // 1/s
-    Numbers q_min_;      // rad
-    Numbers q_max_;      // rad
-    Numbers v_max_;      // rad/s
-    Numbers a_max_;      // rad/s^2
-    Numbers tau_max_;    // N m
-    double length_;      // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
-    double dt_;          // s; in continuous time, 0, there are only torque limits
-    double mean_share_;  // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
-    ComputedTorque unlimited_;
-    Dynamics dynamics_;          // at the start of the control period
+    Numbers q_min_;              // rad
+    Numbers q_max_;              // rad
+    Numbers v_max_;              // rad/s
+    Numbers a_max_;              // rad/s^2
+    double length_;              // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
+    double mean_share_;          // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
+    Dynamics start_;             // of the control period
     Numbers desired_ = zeros();  // acceleration
     DenseMatrix J_{6, joints()}, H_ = square(), M_ = square(), factors_ = square();
 
@@ -80,11 +73,11 @@ private:
     // Computes the torque without limits and the program of one control period; whether the torque exceeds a limit.
     bool make_program(const State& state, const Setpoint& setpoint, Result tau) {
         const Vector a_ref = setpoint.a_tick;
-        unlimited_.torque(state, setpoint, tau);
-        dynamics_.place(state.q);
-        dynamics_.mass_matrix(M_);
-        dynamics_.add_step_inertia(M_);
-        for (size_t i = 0; i < joints(); ++i) { desired_[i] = unlimited_.correction()[i] + a_ref[i]; }
+        ComputedTorque::torque(state, setpoint, tau);
+        start_.place(state.q);
+        start_.mass_matrix(M_);
+        start_.add_step_inertia(M_);
+        for (size_t i = 0; i < joints(); ++i) { desired_[i] = correction_[i] + a_ref[i]; }
         // The tip's law is that of stiffness and damping alone. With the added torques, which are of first order in the errors, the
         // offset would cancel them, by a share that is not linear.
         find_tip_offset(state, setpoint);
@@ -108,9 +101,9 @@ private:
 
     // Acceleration minus gravity plus damping times velocity plus stiffness times position of the tip, in the world.
     Vec3 tip_law(Vector q, Vector v, Vector a) {
-        const Vec3 acceleration = dynamics_.tip_motion(q, v, a).linear;
-        const Pose tip = dynamics_.tip();
-        J_.set(dynamics_.tip_jacobian());
+        const Vec3 acceleration = start_.tip_motion(q, v, a).linear;
+        const Pose tip = start_.tip();
+        J_.set(start_.tip_jacobian());
         Vec3 total = stiffness_ * tip.translation;
         total = total + acceleration.x * tip.rotation.x + acceleration.y * tip.rotation.y + acceleration.z * tip.rotation.z;
         for (size_t i = 0; i < joints(); ++i) {
@@ -120,11 +113,10 @@ private:
     }
 
     void add_acceleration_of_added_torque() {
-        const Vector added_torque = unlimited_.added_torque();
-        if (std::ranges::all_of(added_torque, [](double torque) { return torque == 0.0; })) { return; }
+        if (std::ranges::all_of(added_torque_, [](double torque) { return torque == 0.0; })) { return; }
         const Result acceleration = deviation_;  // is not known yet
-        copy(added_torque, acceleration);
-        dynamics_.accelerate(acceleration);
+        copy(added_torque_, acceleration);
+        start_.accelerate(acceleration);
         for (size_t i = 0; i < joints(); ++i) { desired_[i] += acceleration[i]; }
     }
 
@@ -172,7 +164,7 @@ private:
             const double lowest = -std::min(v_max_[i], stopping_speed(q - q_min_[i], -v, up));
             lower_[i] = -unbounded;
             upper_[i] = unbounded;
-            if (dt_ > 0.0) {
+            if (dt_ > 0.0) {  // in continuous time, there are only torque limits
                 lower_[i] = std::max((lowest - v) / dt_ - desired_[i], -unbounded);
                 upper_[i] = std::min((highest - v) / dt_ - desired_[i], unbounded);
             }

@@ -13,7 +13,7 @@ protected:
     // The memory: whether there was a tick and the estimate, if there is one, and further numbers for a derived law.
     EstimatedMotion(const Model& model, const Arguments& gains, bool has_estimate, size_t further_memory)
         : Law(model->n(), estimate_size(has_estimate, model->n()) + further_memory), dynamics_(model), dt_(gains.number("dt")),
-          stiffness_(gains.number("stiffness")), damping_(gains.number("damping")), torque_limit_(gains.numbers(joints(), "torque_limit")),
+          stiffness_(gains.number("stiffness")), damping_(gains.number("damping")), tau_max_(gains.numbers(joints(), "torque_limit")),
           has_estimate_(has_estimate), position_weight_(gains.number("position_weight")), velocity_weight_(gains.number("velocity_weight")),
           position_step_(gains.flag("continuous") ? 0.5 : 1.0) {}
 
@@ -46,10 +46,10 @@ protected:
     }
 
     Dynamics dynamics_;
-    double dt_;             // s, the period
-    double stiffness_;      // 1/s^2
-    double damping_;        // 1/s
-    Numbers torque_limit_;  // (n,) N m, of the motors
+    double dt_;         // s, the period
+    double stiffness_;  // 1/s^2
+    double damping_;    // 1/s
+    Numbers tau_max_;   // (n,) N m, of the motors
 
 private:
     static size_t estimate_size(bool has_estimate, size_t n) { return has_estimate ? 1 + 3 * n : 0; }

@@ -23,7 +23,7 @@ public:
         ComputedTorque::torque(state, setpoint, tau);
         // The integral waits while a motor is saturated, since the error is then not one of the model.
         for (size_t i = 0; i < joints(); ++i) {
-            if (std::abs(tau[i]) > torque_limit_[i]) { return; }
+            if (std::abs(tau[i]) > tau_max_[i]) { return; }
         }
         for (size_t i = 0; i < joints(); ++i) { further_memory()[i] += dt_ * growth_[i]; }
     }
