@@ -107,7 +107,7 @@ public:
     TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::string touching) {
         const std::unique_lock lock(in_use_, std::try_to_lock);
         if (!lock.owns_lock()) { throw InputError("simulation: another thread runs it; give each thread a simulation of its own"); }
-        // It belongs to this call, which MuJoCo's errors do not leave.
+        // What owns memory belongs to this call, which errors of MuJoCo do not leave.
         TickEnd end{.row = ticks.first, .count = ticks.first};
         auto work = [&] { run_ticks(ticks, law, delay, sensor, touching, end); };
         end.error = guarded(*api_, work);
