@@ -114,9 +114,11 @@ private:
 
     void add_acceleration_of_added_torque() {
         if (std::ranges::all_of(added_torque_, [](double torque) { return torque == 0.0; })) { return; }
+        factors_ = M_;
+        factorize(factors_);
         const Result acceleration = deviation_;  // is not known yet
         copy(added_torque_, acceleration);
-        start_.accelerate(acceleration);
+        solve(factors_, acceleration);
         for (size_t i = 0; i < joints(); ++i) { desired_[i] += acceleration[i]; }
     }
 
