@@ -7,17 +7,6 @@ import enum
 import numpy
 from numpy.typing import NDArray
 
-def inverse_dynamics_along(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, tau: numpy.ndarray) -> None:
-    """Inverse dynamics without dry friction at many states: (T, n) N m."""
-
-def gravity_along(model: ArmModel, q: numpy.ndarray, tau: numpy.ndarray) -> None:
-    """The torques that hold the arm still at many positions: (T, n) N m."""
-
-def tip_twists_along(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, twists: numpy.ndarray) -> None:
-    """
-    The twists (T, 6) of the tip, linear first, world axes, at many states.
-    """
-
 class TipFollower:
     """Joints that keep the tip on a path, step by step."""
 
@@ -206,76 +195,38 @@ class ArmModel:
         The model for a control period, s: one step of MuJoCo, or a continuous motion. dt = 0 is continuous time.
         """
 
-class Dynamics:
+def inverse_dynamics(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, tau: numpy.ndarray) -> None:
     """
-    The equations of motion of an arm, with scratch memory: use an object in one thread at a time.
-
-    Results are written into the last argument.
+    The torques that change the velocity by a dt over the period, without dry friction: (T, n) N m.
     """
 
-    def __init__(self, model: ArmModel) -> None: ...
-    def place(self, q: numpy.ndarray) -> None:
-        """Places the joints at q (n,) rad."""
-
-    def gravity(self, q: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """The torque that holds the arm at rest, (n,) N m. Places the joints."""
-
-    def inverse_dynamics(self, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """
-        The torque that changes the velocity by a dt over the period, (n,) N m, without dry friction. Places the joints.
-        """
-
-    def add_friction(self, v_ref: numpy.ndarray, a_ref: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """
-        Adds the torque against dry friction on the reference motion, where the joints are placed.
-        """
-
-    def coriolis_product(self, v: numpy.ndarray, w: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """C(q, v) w (n,) N m, where the joints are placed."""
-
-    def mass_matrix(self, M: numpy.ndarray) -> None:
-        """
-        The (n, n) mass matrix with armature, kg m^2, where the joints are placed.
-        """
-
-    def locate(self) -> None:
-        """
-        Finds the frames of all joints in the world, where the joints are placed.
-        """
-
-    def tip(self, position: numpy.ndarray, rotation: numpy.ndarray) -> None:
-        """
-        Position (3,) m and rotation matrix (3, 3) of the tip in the world, after `locate`.
-        """
-
-    def tip_jacobian(self, J: numpy.ndarray) -> None:
-        """
-        The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.
-        """
-
-    def tip_force(self, q: numpy.ndarray, wrench: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """
-        J(q)^T wrench, (n,) N m, for a wrench (6,) on the tip: force first, world axes.
-        """
-
-    def tip_motion(self, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, motion: numpy.ndarray) -> None:
-        """
-        Angular velocity, angular acceleration, and acceleration minus gravity of the tip in its own axes, (3, 3).
-        """
-
-def factorize(M: numpy.ndarray) -> None:
-    """
-    Factorizes a positive definite (n, n) matrix in place, as L D L^T, for `solve`.
-    """
-
-def solve(factors: numpy.ndarray, x: numpy.ndarray) -> None:
-    """
-    Replaces x (n,) by the solution of M solution = x, with M as `factorize` leaves it.
-    """
+def gravity(model: ArmModel, q: numpy.ndarray, tau: numpy.ndarray) -> None:
+    """The torques that hold the arm still: (T, n) N m."""
 
 def tips(model: ArmModel, q: numpy.ndarray, positions: numpy.ndarray, rotations: numpy.ndarray) -> None:
     """
-    Positions (T, 3) m and rotation matrices (T, 3, 3) of the tip in the world at each row of q (T, n).
+    Positions (T, 3) m and rotation matrices (T, 9), row by row, of the tip in the world at each row of q (T, n).
+    """
+
+def mass_matrices(model: ArmModel, q: numpy.ndarray, M: numpy.ndarray) -> None:
+    """The mass matrices with armature, (T, n n) kg m^2, row by row."""
+
+def tip_jacobians(model: ArmModel, q: numpy.ndarray, J: numpy.ndarray) -> None:
+    """
+    The Jacobians of the tip, (T, 6 n), row by row: linear first, world axes.
+    """
+
+def tip_twists(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, twists: numpy.ndarray) -> None:
+    """The twists (T, 6) of the tip, linear first, world axes."""
+
+def tip_forces(model: ArmModel, q: numpy.ndarray, wrenches: numpy.ndarray, tau: numpy.ndarray) -> None:
+    """
+    J(q)^T wrench, (T, n) N m, for wrenches (T, 6) on the tip: force first, world axes.
+    """
+
+def payload_regressors(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, Y: numpy.ndarray) -> None:
+    """
+    The torques per inertial parameter of a body at the tip, (T, 10 n), row by row: mass, first moment, second moments.
     """
 
 def quaternions(rotations: numpy.ndarray, quats: numpy.ndarray) -> None:
@@ -635,12 +586,7 @@ class CFunctionLaw(Law):
     A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.
     """
 
-    def __init__(
-        self, address: int, *, n: int, parameters: numpy.ndarray, memory_size: int = 0, needs_wrench: bool = False
-    ) -> None:
-        """
-        A law from the address of its function, which has to exist as long as the law.
-        """
+    def __init__(self, address: int, **gains) -> None: ...
 
 class PDFeedforward(Law):
     """PD with the torque of the reference motion."""
@@ -686,18 +632,13 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.
         """
 
-def payload_regressor(dynamics: Dynamics, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, Y: numpy.ndarray) -> None:
-    """
-    The torques per inertial parameter of a body at the tip, written into Y (n, 10): mass, first moment, second moments.
-    """
-
 class ComputedTorqueQP(Law):
     """Computed torque within limits of torque, velocity and position."""
 
     def __init__(self, of: ArmModel, **gains) -> None: ...
     def last_program(self) -> object:
         """
-        H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
+        H and M row by row, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
         limits; None if the torque was not limited.
         """
 

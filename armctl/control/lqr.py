@@ -164,11 +164,11 @@ class LQR(ArmController):
             sampled = self._motion.sample(np.linspace(0.0, self._motion.duration, count))
             points = list(zip(sampled.q, sampled.v, sampled.a, strict=True))
             ticks = max(1, round(self._motion.duration / (count - 1) / dt))
-        dynamics = _core.Dynamics(self._model(dt, continuous))
+        model = self._model(dt, continuous)
         damping = np.diag(sampled_inertia(self._arm).damping)
         nodes: list[_Node] = []
         for point in reversed(points):
-            arm = _linearized(dynamics, *point)
+            arm = _linearized(model, *point)
             cancelled = np.hstack([arm.stiffness, arm.damping - damping, np.zeros_like(damping)])
             gains = self._minimized(arm, cancelled, dt, 0.5 if continuous else 1.0, nodes[-1].gains.P if nodes else None, ticks)
             # What inverse dynamics cancels is part of the gains. Damping is not: it is that of the reference's velocity.
@@ -286,16 +286,16 @@ class _Node(NamedTuple):
     feedback: Array
 
 
-def _linearized(dynamics: _core.Dynamics, q: Array, v: Array, a: Array) -> _LinearModel:
+def _linearized(model: _core.ArmModel, q: Array, v: Array, a: Array) -> _LinearModel:
     n = len(q)
 
-    def torque(change: Array) -> Array:
-        tau = np.empty(n)
-        dynamics.inverse_dynamics(q + change[n : 2 * n], v + change[2 * n :], a + change[:n], tau)
+    def torques(changes: Array) -> Array:
+        tau = np.empty((3 * n, n))
+        _core.inverse_dynamics(model, q + changes[:, n : 2 * n], v + changes[:, 2 * n :], a + changes[:, :n], tau)
         return tau
 
     steps = _STEP * np.eye(3 * n)
-    columns = np.array([torque(step) - torque(-step) for step in steps]).T / (2 * _STEP)
+    columns = (torques(steps) - torques(-steps)).T / (2 * _STEP)
     return _LinearModel(*np.split(columns, 3, axis=1))
 
 

@@ -210,18 +210,14 @@ public:
 
     // The torque (n,) N m of an action in a state.
     void torque(Vector action, Vector q, Vector v, Result tau) {
-        // The torques that keep the velocity, and the inertia of a step.
+        // The torques that keep the velocity.
         std::ranges::fill(a_, 0.0);
         dynamics_.inverse_dynamics(q, v, a_, bias_);
-        dynamics_.mass_matrix(inertia_);
-        dynamics_.add_step_inertia(inertia_);
-        factors_ = inertia_;
-        factorize(factors_);
         for (size_t i = 0; i < n_; ++i) {
             tau[i] = options_.limits[i].tau_max * unit(action[i]);
             a_[i] = tau[i] - bias_[i];
         }
-        solve(factors_, a_);
+        dynamics_.accelerate(a_);
         bool is_changed = false;
         for (size_t i = 0; i < n_; ++i) {
             const double guarded = guarded_acceleration(i, q[i], v[i], a_[i]);
@@ -229,6 +225,8 @@ public:
             a_[i] = guarded;
         }
         if (!is_changed) { return; }
+        dynamics_.mass_matrix(inertia_);
+        dynamics_.add_step_inertia(inertia_);
         for (size_t i = 0; i < n_; ++i) { tau[i] = dot(inertia_.row(i), a_, bias_[i]); }
     }
 
@@ -245,7 +243,7 @@ private:
     Dynamics dynamics_;
     size_t n_ = options_.limits.size();
     Numbers bias_ = Numbers(n_), a_ = Numbers(n_);
-    DenseMatrix inertia_{n_, n_}, factors_ = inertia_;
+    DenseMatrix inertia_{n_, n_};
 };
 
 }  // namespace armctl

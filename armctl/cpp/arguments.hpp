@@ -1,45 +1,53 @@
-// Named values from which an object is made, such as the gains of a law. The bindings take them from Python's keyword arguments.
+// Named values from which an object is made, such as the gains of a law: Python's keyword arguments.
 #pragma once
 #include <initializer_list>
 
 #include "linear_algebra.hpp"
 
+namespace nanobind {
+class kwargs;
+}
+
 namespace armctl {
 
-// All functions throw InputError with the name if there is no such value, or if it is not what is asked for.
+// All functions throw InputError with the name if there is no such value, or if it is not what is asked for. The keyword
+// arguments have to exist as long as this object and the arrays from it; bindings/arguments.cpp reads them.
 class Arguments {
 public:
-    virtual ~Arguments() = default;
+    explicit Arguments(const nanobind::kwargs& given) : given_(&given) {}
 
     // Whether there is such a value, and not None.
-    virtual bool has(const char* name) const = 0;
+    bool has(const char* name) const;
 
-    virtual double number(const char* name) const = 0;
-    virtual std::int64_t integer(const char* name) const = 0;
+    double number(const char* name) const;
+    std::int64_t integer(const char* name) const;
 
-    // Arrays of a shape, as their numbers.
-    virtual Vector shaped(std::initializer_list<size_t> shape, const char* name) const = 0;
-    virtual Result writable(std::initializer_list<size_t> shape, const char* name) const = 0;
-    virtual std::span<const std::int64_t> integers(size_t size, const char* name) const = 0;
-    virtual std::span<std::int64_t> writable_integers(size_t size, const char* name) const = 0;
+    // An array of a shape, as its numbers: double or std::int64_t, const where they are only read.
+    template <class Number>
+    std::span<Number> array(std::initializer_list<size_t> shape, const char* name) const;
 
     // The first dimension of an array.
-    virtual size_t length(const char* name) const = 0;
+    size_t length(const char* name) const;
 
     bool flag(const char* name) const { return number(name) != 0.0; }
     size_t count(const char* name) const { return static_cast<size_t>(integer(name)); }
+    Vector shaped(std::initializer_list<size_t> shape, const char* name) const { return array<const double>(shape, name); }
+    Result writable(std::initializer_list<size_t> shape, const char* name) const { return array<double>(shape, name); }
+    Integers integers(size_t size, const char* name) const { return array<const std::int64_t>({size}, name); }
     Vector vector(size_t size, const char* name) const { return shaped({size}, name); }
     Matrix matrix(size_t rows, size_t columns, const char* name) const { return {shaped({rows, columns}, name).data(), rows, columns}; }
     MatrixResult writable_matrix(size_t rows, size_t columns, const char* name) const {
         return {writable({rows, columns}, name).data(), rows, columns};
     }
 
-    // A finite number of at least 0.
-    double gain(const char* name) const;
-    Numbers gains(size_t size, const char* name) const;
+    // A copy of a vector, such as a gain for each joint.
+    Numbers numbers(size_t size, const char* name) const {
+        const Vector values = vector(size, name);
+        return {values.begin(), values.end()};
+    }
 
-    // Numbers of at least 0, or infinite.
-    Numbers limits(size_t size, const char* name) const;
+private:
+    const nanobind::kwargs* given_;
 };
 
 }  // namespace armctl

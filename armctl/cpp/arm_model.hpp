@@ -67,10 +67,11 @@ struct ArmModel {
     // come first; `gravity`, `tip_rotation` and `tip_translation` in the last joint's frame, `implicit_damping` and
     // `implicit_coriolis` of a step. Units are SI.
     explicit ArmModel(const Arguments& given)
-        : chain_length(given.count("chain_length")), gravity(vec3(given.vector(3, "gravity"))),
+        : ratio(given.length("masses"), given.length("armature")), chain_length(given.count("chain_length")),
+          gravity(vec3(given.vector(3, "gravity"))),
           T_last_tip{Rotation::from_rows(given.shaped({3, 3}, "tip_rotation")), vec3(given.vector(3, "tip_translation"))} {
-        const size_t m = given.length("masses");
-        const size_t n = given.length("armature");
+        const size_t m = ratio.rows();
+        const size_t n = ratio.columns();
         if (chain_length < 1 || chain_length > m) {
             throw InputError("chain_length: need 1 to " + std::to_string(m) + " joints, got " + std::to_string(chain_length));
         }
@@ -98,19 +99,16 @@ struct ArmModel {
                 .friction = {given.vector(n, "friction_loss")[i], given.vector(n, "friction_gain")[i], given.vector(n, "friction_rate")[i]},
             });
         }
-        const Vector ratio = given.shaped({m, n}, "ratio");
-        ratios.assign(ratio.begin(), ratio.end());
+        ratio.set(given.matrix(m, n, "ratio"));
         is_plain = m == n;
         has_lift = std::ranges::any_of(joints, [](const Joint& j) { return j.lifted_mass != 0.0 || norm(j.lifted_moment) != 0.0; });
         has_springs = std::ranges::any_of(joints, [](const Joint& joint) { return !joint.stiffness.is_zero(); });
         has_friction = std::ranges::any_of(drives, [](const Drive& drive) { return drive.friction.loss != 0.0; });
-        const bool is_damped = std::ranges::any_of(drives, [](const Drive& drive) { return !drive.damping.is_zero(); });
         const bool is_all_linear = std::ranges::all_of(drives, [](const Drive& drive) { return drive.damping.is_linear(); });
         has_implicit_damping = given.flag("implicit_damping");
         // As in Pinocchio, Coriolis forces have no derivative where one joint follows another.
         has_implicit_coriolis = given.flag("implicit_coriolis") && is_plain;
         has_implicit_nonlinear = has_implicit_coriolis || (has_implicit_damping && !is_all_linear);
-        has_implicit_forces = has_implicit_nonlinear || (has_implicit_damping && is_damped);
     }
 
     // The model for a control period of dt. If the arm moves continuously, forces are those in the middle of the period; if
@@ -123,14 +121,13 @@ struct ArmModel {
     }
 
     size_t n() const { return drives.size(); }
-    double ratio(size_t joint, size_t i) const { return ratios[joint * n() + i]; }
     // Linear damping that is evaluated at the end of the period, times the period: it acts as an additional inertia, kg m^2. So it
     // is in estimates of continuous motion, too: evaluated in the middle, large damping would let the velocity alternate.
     double step_inertia(size_t i) const { return (2.0 * half_step + (has_implicit_damping ? step : 0.0)) * drives[i].damping.linear; }
 
     std::vector<Joint> joints;
     std::vector<Drive> drives;
-    Numbers ratios;  // (m, n)
+    DenseMatrix ratio;  // (m, n)
     size_t chain_length = 0;
     Vec3 gravity;
     Pose T_last_tip;
@@ -142,7 +139,6 @@ struct ArmModel {
     bool has_implicit_damping = false;    // a step evaluates damping at the velocity at its end
     bool has_implicit_coriolis = false;   // and Coriolis forces
     bool has_implicit_nonlinear = false;  // and any force other than linear damping
-    bool has_implicit_forces = false;
 
     double step = 0.0;       // s, of implicit forces; 0 for continuous time
     double half_step = 0.0;  // s, from the start of the period to the instant at which a continuous model is evaluated

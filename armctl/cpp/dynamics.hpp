@@ -22,7 +22,7 @@ class Dynamics {
 public:
     explicit Dynamics(Model model)
         : model_(std::move(model)), links_(model_->joints.size()), middle_position_(model_->n()), middle_velocity_(model_->n()),
-          sum_(model_->n()), difference_(model_->n()), change_(model_->n()), inertia_(model_->n(), model_->n()), J_(6, model_->n()) {}
+          sum_(model_->n()), change_(model_->n()), inertia_(model_->n(), model_->n()), J_(6, model_->n()) {}
 
     const ArmModel& model() const { return *model_; }
 
@@ -44,29 +44,19 @@ public:
     // The torque that holds the arm at rest, (n,) N m, with gravity compensation and springs. Places the joints.
     void gravity(Vector q, Result tau) {
         place(q);
-        for (Link& link : links_) {
-            link.velocity = 0.0;
-            link.acceleration = 0.0;
-        }
-        newton_euler();
-        if (model_->has_springs) { add_springs(); }
-        torques_of_arm(tau);
+        std::ranges::fill(change_, 0.0);
+        smooth_torque(change_, change_, tau);
     }
 
     // The torque that changes the velocity by a dt over the coming control period, (n,) N m, without dry friction. Places the
     // joints.
     void inverse_dynamics(Vector q, Vector v, Vector a, Result tau) {
-        if (model_->half_step != 0.0) {
-            place_in_middle(q, v, a);
-            smooth_torque(middle_velocity_, a, tau);
-            return;
-        }
-        place(q);
-        smooth_torque(v, a, tau);
+        place_in_middle(q, v, a);
+        smooth_torque(middle_velocity_, a, tau);
         if (model_->step == 0.0) { return; }
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += model_->step_inertia(i) * a[i]; }
         if (model_->has_implicit_nonlinear) {
-            implicit_change(v, a, change_);
+            implicit_change(v, a);
             for (size_t i = 0; i < tau.size(); ++i) { tau[i] += model_->step * change_[i]; }
         }
     }
@@ -75,10 +65,10 @@ public:
     void add_friction(Vector v_ref, Vector a_ref, Result tau) {
         if (!model_->has_friction) { return; }
         const double half = model_->half_step;
-        std::fill(change_.begin(), change_.end(), 0.0);
-        if (half == 0.0 && model_->step != 0.0 && model_->has_implicit_forces) {
+        std::ranges::fill(change_, 0.0);
+        if (half == 0.0 && model_->step != 0.0) {
             // In a discrete step, the friction constraint acts on the acceleration before implicit forces.
-            if (model_->has_implicit_nonlinear) { implicit_change(v_ref, a_ref, change_); }
+            if (model_->has_implicit_nonlinear) { implicit_change(v_ref, a_ref); }
             for (size_t i = 0; i < tau.size(); ++i) {
                 const double damping = model_->has_implicit_damping ? model_->drives[i].damping.linear : 0.0;
                 change_[i] = model_->step * (damping * a_ref[i] + change_[i]);
@@ -97,29 +87,10 @@ public:
         for (size_t i = 0; i < v.size(); ++i) { tau[i] += model_->drives[i].damping.linear * v[i]; }
     }
 
-    // C(q, v) w (n,), with the C of Christoffel's symbols, where the joints are placed.
-    void coriolis_product(Vector v, Vector w, Result tau) {
-        // C(q, v) w is symmetric in v and w, so it follows from C(q, v) v by polarization: (v + w)^2 - (v - w)^2 = 4 v w.
-        for (size_t i = 0; i < v.size(); ++i) {
-            sum_[i] = v[i] + w[i];
-            difference_[i] = v[i] - w[i];
-        }
-        for (Link& link : links_) { link.acceleration = 0.0; }
-        set_velocities(sum_);
-        newton_euler();
-        torques_of_arm(tau);
-        set_velocities(difference_);
-        newton_euler();
-        torques_of_arm(difference_);
-        for (size_t i = 0; i < tau.size(); ++i) { tau[i] = 0.25 * (tau[i] - difference_[i]); }
-    }
-
     // The (n, n) mass matrix with armature, kg m^2, where the joints are placed.
     void mass_matrix(MatrixResult M) {
-        for (size_t i = 0; i < M.rows; ++i) {
-            for (size_t k = 0; k < M.columns; ++k) { M(i, k) = 0.0; }
-            M(i, i) = model_->drives[i].armature;
-        }
+        std::ranges::fill(M.numbers(), 0.0);
+        for (size_t i = 0; i < M.rows; ++i) { M(i, i) = model_->drives[i].armature; }
         for (size_t j = 0; j < links_.size(); ++j) { links_[j].composite = own_inertia(model_->joints[j]); }
         for (size_t j = links_.size(); j-- > 0;) {
             add_inertia_row(j, M);
@@ -139,7 +110,15 @@ public:
         for (size_t i = 0; i < M.rows; ++i) { M(i, i) += model_->step_inertia(i); }
     }
 
-    // Finds the frames of all joints in the world, where the joints are placed, or at q (n,).
+    // Replaces torques (n,) by the accelerations that they add over a control period, where the joints are placed.
+    void accelerate(Result torques) {
+        mass_matrix(inertia_);
+        add_step_inertia(inertia_);
+        factorize(inertia_);
+        solve(inertia_, torques);
+    }
+
+    // Finds the frames of all joints in the world, where the joints are placed.
     void locate() {
         for (size_t j = 0; j < links_.size(); ++j) {
             const int parent = model_->joints[j].parent;
@@ -184,8 +163,8 @@ public:
     // locates the joints.
     BodyMotion tip_motion(Vector q, Vector v, Vector a) {
         place_in_middle(q, v, a);
-        set_velocities(middle_velocity_);
-        set_accelerations(a);
+        set(&Link::velocity, middle_velocity_);
+        set(&Link::acceleration, a);
         for (size_t j = 0; j < model_->chain_length; ++j) { move_link(j); }
         locate();
         const BodyMotion& last = links_[model_->chain_length - 1].motion;
@@ -227,18 +206,15 @@ private:
         place(middle_position_);
     }
 
-    void set_velocities(Vector v) {
-        for (size_t j = 0; j < links_.size(); ++j) { links_[j].velocity = joint_value(j, v); }
-    }
-
-    void set_accelerations(Vector a) {
-        for (size_t j = 0; j < links_.size(); ++j) { links_[j].acceleration = joint_value(j, a); }
+    // Sets the velocities or accelerations of all joints from those of the arm's n.
+    void set(double Link::* value, Vector x) {
+        for (size_t j = 0; j < links_.size(); ++j) { links_[j].*value = joint_value(j, x); }
     }
 
     // The torque in continuous time, at the placed positions.
     void smooth_torque(Vector v, Vector a, Result tau) {
-        set_velocities(v);
-        set_accelerations(a);
+        set(&Link::velocity, v);
+        set(&Link::acceleration, a);
         newton_euler();
         if (model_->has_springs) { add_springs(); }
         torques_of_arm(tau);
@@ -333,17 +309,23 @@ private:
     }
 
     // Rate at which implicit forces other than linear damping change during a step, d(force)/dv a, at the placed positions.
-    void implicit_change(Vector v, Vector a, Result change) {
+    void implicit_change(Vector v, Vector a) {
+        std::ranges::fill(change_, 0.0);
         if (model_->has_implicit_coriolis) {
-            // The Coriolis torque is C(q, v) v, and C(q, v) a is symmetric in v and a, so its derivative along a is 2 C(q, v) a.
-            coriolis_product(v, a, change);
-            for (double& value : change) { value *= 2.0; }
-        } else {
-            std::fill(change.begin(), change.end(), 0.0);
+            // The Coriolis torque is C(q, v) v, and C(q, v) a, with the C of Christoffel's symbols, is symmetric in v and a. So its
+            // derivative along a is 2 C(q, v) a, which follows by polarization: (v + a)^2 - (v - a)^2 = 4 v a.
+            for (Link& link : links_) { link.acceleration = 0.0; }
+            for (const double sign : {1.0, -1.0}) {
+                for (size_t i = 0; i < v.size(); ++i) { sum_[i] = v[i] + sign * a[i]; }
+                set(&Link::velocity, sum_);
+                newton_euler();
+                torques_of_arm(sum_);
+                for (size_t i = 0; i < v.size(); ++i) { change_[i] += 0.5 * sign * sum_[i]; }
+            }
         }
-        for (size_t i = 0; i < change.size(); ++i) {
+        for (size_t i = 0; i < v.size(); ++i) {
             const Polynomial& damping = model_->drives[i].damping;
-            change[i] += (2.0 * damping.quadratic * std::abs(v[i]) + 3.0 * damping.cubic * v[i] * v[i]) * a[i];
+            change_[i] += (2.0 * damping.quadratic * std::abs(v[i]) + 3.0 * damping.cubic * v[i] * v[i]) * a[i];
         }
     }
 
@@ -390,10 +372,7 @@ private:
     }
 
     // The velocity or acceleration of a joint, from those of the arm's n.
-    double joint_value(size_t joint, Vector x) const {
-        if (model_->is_plain) { return x[joint]; }
-        return dot(Vector(model_->ratios).subspan(joint * x.size(), x.size()), x);
-    }
+    double joint_value(size_t joint, Vector x) const { return model_->is_plain ? x[joint] : dot(model_->ratio.row(joint), x); }
 
     // A link alone, without the links behind it.
     static CompositeInertia own_inertia(const Joint& joint) {
@@ -424,7 +403,7 @@ private:
     Model model_;
     std::vector<Link> links_;
     // Scratch memory, (n,) each and (n, n).
-    Numbers middle_position_, middle_velocity_, sum_, difference_, change_;
+    Numbers middle_position_, middle_velocity_, sum_, change_;
     DenseMatrix inertia_, J_;
 };
 

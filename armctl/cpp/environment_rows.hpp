@@ -23,18 +23,18 @@ struct EnvironmentArrays {
     const Arguments& given;
     size_t n;
     size_t ticks;
-    size_t action_size;                                                           // with the gripper's number
-    size_t count = given.length("q");                                             // of the copies
-    Matrix action = given.matrix(count, action_size, "action");                   // in [-1, 1]
-    MatrixResult q = given.writable_matrix(count, n, "q");                        // rad
-    MatrixResult v = given.writable_matrix(count, n, "v");                        // rad/s
-    MatrixResult target = given.writable_matrix(count, n, "target");              // rad, joint targets
-    MatrixResult q_ref = given.writable_matrix(count, n, "q_ref");                // rad, the reference
-    MatrixResult v_ref = given.writable_matrix(count, n, "v_ref");                // rad/s
-    MatrixResult tip = given.writable_matrix(count, 12, "tip");                   // position and rotation matrix
-    Result opening = given.writable({count}, "opening");                          // of the gripper, from closed (0) to open (1)
-    MatrixResult object = given.writable_matrix(count, 13, "object");             // position, quaternion and velocities of the loose object
-    std::span<std::int64_t> touched = given.writable_integers(count, "touched");  // ticks of the last step with the obstacle touched
+    size_t action_size;                                                // with the gripper's number
+    size_t count = given.length("q");                                  // of the copies
+    Matrix action = given.matrix(count, action_size, "action");        // in [-1, 1]
+    MatrixResult q = given.writable_matrix(count, n, "q");             // rad
+    MatrixResult v = given.writable_matrix(count, n, "v");             // rad/s
+    MatrixResult target = given.writable_matrix(count, n, "target");   // rad, joint targets
+    MatrixResult q_ref = given.writable_matrix(count, n, "q_ref");     // rad, the reference
+    MatrixResult v_ref = given.writable_matrix(count, n, "v_ref");     // rad/s
+    MatrixResult tip = given.writable_matrix(count, 12, "tip");        // position and rotation matrix
+    Result opening = given.writable({count}, "opening");               // of the gripper, from closed (0) to open (1)
+    MatrixResult object = given.writable_matrix(count, 13, "object");  // position, quaternion and velocities of the loose object
+    std::span<std::int64_t> touched = given.array<std::int64_t>({count}, "touched");  // ticks of the last step with the obstacle touched
     // On measured positions and velocities.
     Vector noise = given.has("noise") ? given.shaped({count, ticks, 2, n}, "noise") : Vector();
 };
@@ -54,7 +54,7 @@ public:
         }
         if (law.needs_wrench()) { throw InputError("law: environments measure no wrench, and this law needs one"); }
         if (given.has("object_addresses")) {
-            const std::span<const std::int64_t> addresses = given.integers(2, "object_addresses");
+            const Integers addresses = given.integers(2, "object_addresses");
             object_ = {address(addresses[0]), address(addresses[1])};
         }
         if (given.has("obstacle")) { obstacle_ = static_cast<std::int32_t>(given.integer("obstacle")); }
@@ -105,7 +105,7 @@ public:
             }
             if (copies_[row].simulation.data == nullptr) { throw InputError("row " + std::to_string(row) + ": it has no simulation"); }
         }
-        Workspace workspace(*this);
+        Workspace workspace{*this};
         auto work = [&] {
             for (size_t row = first; row < last; ++row) { step_row(row, workspace); }
         };
@@ -122,8 +122,8 @@ public:
 private:
     static std::vector<GripperActuator> gripper_of(const Arguments& given) {
         const size_t count = given.length("gripper_ctrl");
-        const std::span<const std::int64_t> ctrl = given.integers(count, "gripper_ctrl");
-        const std::span<const std::int64_t> length = given.integers(count, "gripper_length");
+        const Integers ctrl = given.integers(count, "gripper_ctrl");
+        const Integers length = given.integers(count, "gripper_length");
         const Matrix ends = given.matrix(4, count, "gripper_ends");
         std::vector<GripperActuator> gripper;
         gripper.reserve(count);
@@ -147,14 +147,12 @@ private:
 
     // What a thread needs for its steps.
     struct Workspace {
-        explicit Workspace(const EnvironmentRows& rows)
-            : targets(rows.arm_, rows.options_), guard(rows.arm_, rows.options_), q_seen(rows.joints()), v_seen(q_seen), tau(q_seen) {}
-
-        ActionTargets targets;
-        TorqueGuard guard;
-        Numbers q_seen;
-        Numbers v_seen;
-        Numbers tau;
+        const EnvironmentRows& rows;
+        ActionTargets targets{rows.arm_, rows.options_};
+        TorqueGuard guard{rows.arm_, rows.options_};
+        Numbers q_seen = Numbers(rows.joints());
+        Numbers v_seen = q_seen;
+        Numbers tau = q_seen;
     };
 
     void require_rows(size_t first, size_t last) const {

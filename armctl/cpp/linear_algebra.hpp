@@ -35,9 +35,9 @@ private:
 
 inline void copy(Vector from, Result to) { std::ranges::copy(from, to.begin()); }
 
-// total + a . b, for a vector, a row or a column a. The sum of long ones has four parts, which do not wait for each other.
+// total + a . b. The sum of long ones has four parts, which do not wait for each other.
 template <class Numbered>
-double dot(const Numbered& a, Vector b, double total = 0.0) {
+double dot_product(Numbered a, Vector b, double total) {
     size_t i = 0;
     if (b.size() >= 16) {
         double parts[4] = {};
@@ -49,6 +49,10 @@ double dot(const Numbered& a, Vector b, double total = 0.0) {
     for (; i < b.size(); ++i) { total += a[i] * b[i]; }
     return total;
 }
+
+// The same for a vector or a row a, and for a column. Arrays become vectors: with their size, compilers warn of long sums.
+inline double dot(Vector a, Vector b, double total = 0.0) { return dot_product(a, b, total); }
+inline double dot(Column a, Vector b, double total = 0.0) { return dot_product(a, b, total); }
 
 inline void set_identity(MatrixResult M) {
     for (size_t i = 0; i < M.rows; ++i) {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstring>
+#include <memory>
 
 #include "errors.hpp"
 
@@ -17,34 +18,15 @@ Number number_at(const void* address, size_t offset) {
     return number;
 }
 
+using Batch = std::unique_ptr<MujocoBatch, void (*)(MujocoBatch*)>;
+
 // A batch of MuJoCo with one simulation and no thread of its own.
-class Batch {
-public:
-    explicit Batch(const MujocoApi& api) : delete_(api.delete_batch) {
-        std::array<char, 500> error{};
-        const MujocoApi::BatchConfig config{.threads = 1, .persistent = 0};
-        batch_ = api.make_batch(api.empty_model, 1, &config, error.data(), static_cast<int>(error.size()));
-        if (batch_ == nullptr) { throw InputError("mujoco: " + std::string(error.data())); }
-    }
-    Batch(const Batch&) = delete;
-    Batch& operator=(const Batch&) = delete;
-    ~Batch() { delete_(batch_); }
-
-    MujocoBatch* get() const { return batch_; }
-
-private:
-    void (*delete_)(MujocoBatch*);
-    MujocoBatch* batch_;
-};
-
-struct Call {
-    void (*function)(void*);
-    void* argument;
-};
-
-void run(const MujocoModel*, MujocoData*, int, void* argument) {
-    const Call* call = static_cast<const Call*>(argument);
-    call->function(call->argument);
+Batch make_batch(const MujocoApi& api) {
+    std::array<char, 500> error{};
+    const MujocoApi::BatchConfig config{.threads = 1, .persistent = 0};
+    Batch batch(api.make_batch(api.empty_model, 1, &config, error.data(), static_cast<int>(error.size())), api.delete_batch);
+    if (!batch) { throw InputError("mujoco: " + std::string(error.data())); }
+    return batch;
 }
 
 // A function, or a struct, from its address.
@@ -74,21 +56,21 @@ Contacts::Contacts(const ContactLayout& layout, const MujocoData* data)
     : layout_(layout), first_(number_at<const std::byte*>(data, layout.array)),
       count_(static_cast<size_t>(number_at<std::int32_t>(data, layout.count))) {}
 
-GeomPair Contacts::geoms(size_t contact) const { return number_at<GeomPair>(first_ + contact * layout_.stride, layout_.geoms); }
+std::array<std::int32_t, 2> Contacts::geoms(size_t contact) const {
+    return number_at<std::array<std::int32_t, 2>>(first_ + contact * layout_.stride, layout_.geoms);
+}
 
 bool Contacts::touch(std::int32_t geom) const {
     for (size_t k = 0; k < count_; ++k) {
-        const GeomPair pair = geoms(k);
-        if (pair.first == geom || pair.second == geom) { return true; }
+        if (std::ranges::count(geoms(k), geom) > 0) { return true; }
     }
     return false;
 }
 
-std::string guarded_call(const MujocoApi& api, void (*function)(void*), void* argument) {
+std::string guarded_call(const MujocoApi& api, MujocoApi::BatchFunction function, void* argument) {
     // A batch makes one call at a time, so each thread has its own.
-    thread_local const Batch batch(api);
-    Call call{.function = function, .argument = argument};
-    const int failures = api.apply(batch.get(), nullptr, 0, run, &call, 0);
+    thread_local const Batch batch = make_batch(api);
+    const int failures = api.apply(batch.get(), nullptr, 0, function, argument, 0);
     return failures == 0 ? std::string() : std::string(api.error(batch.get(), 0));
 }
 

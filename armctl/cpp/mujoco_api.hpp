@@ -63,21 +63,15 @@ struct MujocoSimulation {
     Matrix subtree_com;   // 3
 };
 
-// The geoms of a contact.
-struct GeomPair {
-    std::int32_t first = -1;
-    std::int32_t second = -1;
-
-    bool operator==(const GeomPair&) const = default;
-};
-
 // The contacts of a simulation after its last step.
 class Contacts {
 public:
     Contacts(const ContactLayout& layout, const MujocoData* data);
 
     size_t count() const { return count_; }
-    GeomPair geoms(size_t contact) const;
+
+    // The geoms of a contact: `mjContact.geom`.
+    std::array<std::int32_t, 2> geoms(size_t contact) const;
 
     // Whether one of them touches a geom.
     bool touch(std::int32_t geom) const;
@@ -94,12 +88,13 @@ private:
 // must not own memory or locks. It must not throw.
 //
 // Returns MuJoCo's message; empty if the function returned.
-std::string guarded_call(const MujocoApi& api, void (*function)(void*), void* argument);
+std::string guarded_call(const MujocoApi& api, MujocoApi::BatchFunction function, void* argument);
 
 // The same for a callable object, such as a lambda that captures by reference.
 template <class Work>
 std::string guarded(const MujocoApi& api, Work& work) {
-    return guarded_call(api, [](void* argument) { (*static_cast<Work*>(argument))(); }, &work);
+    const auto call = [](const MujocoModel*, MujocoData*, int, void* argument) { (*static_cast<Work*>(argument))(); };
+    return guarded_call(api, call, &work);
 }
 
 }  // namespace armctl

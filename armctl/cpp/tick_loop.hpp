@@ -9,10 +9,10 @@
 
 namespace armctl {
 
-// The geoms that touch from a row on.
+// The geoms that touch from a row on: pairs of int32 as bytes.
 struct ContactChange {
     size_t row = 0;
-    std::vector<GeomPair> geoms;
+    std::string geoms;
 };
 
 enum class TickStatus : std::uint8_t { complete, diverged, not_finite };
@@ -104,39 +104,22 @@ public:
 
     // Runs the ticks with the law. Without a delay, the motors receive the command itself, and nothing pushes. The sensor measures
     // the wrench for a law that needs it. `touching` are the geoms that touch in the row before.
-    TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::vector<GeomPair> touching) {
+    TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::string touching) {
         const std::unique_lock lock(in_use_, std::try_to_lock);
         if (!lock.owns_lock()) { throw InputError("simulation: another thread runs it; give each thread a simulation of its own"); }
-        Run run{
-            .ticks = ticks,
-            .law = law,
-            .delay = delay,
-            .sensor = sensor,
-            .touching = std::move(touching),
-            .end = {.row = ticks.first, .count = ticks.first},
-        };
-        auto work = [this, &run] { run_ticks(run); };
-        run.end.error = guarded(*api_, work);
-        run.end.q_seen = q_seen_;
-        run.end.v_seen = v_seen_;
-        return std::move(run.end);
+        // What owns memory belongs to this call, which errors of MuJoCo do not leave.
+        TickEnd end{.row = ticks.first, .count = ticks.first};
+        auto work = [&] { run_ticks(ticks, law, delay, sensor, touching, end); };
+        end.error = guarded(*api_, work);
+        end.q_seen = q_seen_;
+        end.v_seen = v_seen_;
+        return end;
     }
 
 private:
-    // What the ticks of one call use. It belongs to `run`, which MuJoCo's errors do not leave.
-    struct Run {
-        const Ticks& ticks;
-        Law& law;
-        Delay* delay;
-        WrenchSensor* sensor;
-        std::vector<GeomPair> touching;
-        TickEnd end;
-    };
-
-    void run_ticks(Run& run) {
-        const Ticks& ticks = run.ticks;
+    void run_ticks(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::string& touching, TickEnd& end) {
         for (size_t row = ticks.first; row < ticks.last; ++row) {
-            run.end.row = row;
+            end.row = row;
             copy(simulation_.qpos, ticks.qpos_rows.row(row));
             const double speed = read_joints(motors_, simulation_, q_, ticks.v_rows.row(row));
             copy(q_, q_seen_);
@@ -144,21 +127,21 @@ private:
             measure_velocity(ticks.last_position);
             add_noise(ticks.noise, row - ticks.first, q_seen_, v_seen_);
             if (!(speed < diverged_speed_)) {
-                run.end.status = TickStatus::diverged;
+                end.status = TickStatus::diverged;
                 return;
             }
-            const State state{.q = q_seen_, .v = v_seen_, .wrench = measured_wrench(run, row)};
-            run.law.torque(state, ticks.setpoint(row), tau_);
+            const Vector wrench = sensor == nullptr ? Vector() : measured_wrench(ticks, *sensor, row);
+            law.torque({.q = q_seen_, .v = v_seen_, .wrench = wrench}, ticks.setpoint(row), tau_);
             copy(tau_, ticks.command_rows.row(row));
             if (!std::ranges::all_of(tau_, [](double torque) { return std::isfinite(torque); })) {
-                run.end.status = TickStatus::not_finite;
+                end.status = TickStatus::not_finite;
                 return;
             }
-            drive(run, row);
+            drive(ticks, delay, row);
             for (size_t k = 0; k < substeps_; ++k) { api_->step(simulation_.model, simulation_.data); }
             read_torques(motors_, simulation_, ticks.torque_rows.row(row));
-            run.end.count = row + 1;
-            note_contacts(run, row);
+            end.count = row + 1;
+            note_contacts(row, touching, end);
         }
     }
 
@@ -170,10 +153,8 @@ private:
         }
     }
 
-    // The wrench for the law, (6,), and the true one for its row; empty without a sensor.
-    Vector measured_wrench(const Run& run, size_t row) {
-        if (run.sensor == nullptr) { return {}; }
-        const Ticks& ticks = run.ticks;
+    // The wrench for the law, (6,), and the true one for its row.
+    Vector measured_wrench(const Ticks& ticks, WrenchSensor& sensor, size_t row) {
         const size_t tick = row - ticks.first;
         read_torques(motors_, simulation_, tau_);
         const WrenchSignals signals{
@@ -185,31 +166,33 @@ private:
             .push = ticks.push,
         };
         Wrench truth;
-        run.sensor->measure(signals, truth).store(wrench_);
-        truth.store(ticks.wrench_rows.row(row));
+        wrench_ = sensor.measure(signals, truth);
+        copy(truth, ticks.wrench_rows.row(row));
         return wrench_;
     }
 
     // Sets the controls of the motors from the commanded torque, and the forces of pushes.
-    void drive(const Run& run, size_t row) {
-        command_motors(motors_, run.delay == nullptr ? Vector(tau_) : run.delay->delayed(tau_), simulation_);
-        if (run.delay == nullptr || run.ticks.pushes.rows == 0) { return; }
-        const Vector push = run.ticks.pushes.row(row - run.ticks.first);
+    void drive(const Ticks& ticks, Delay* delay, size_t row) {
+        command_motors(motors_, delay == nullptr ? Vector(tau_) : delay->delayed(tau_), simulation_);
+        if (delay == nullptr || ticks.pushes.rows == 0) { return; }
+        const Vector push = ticks.pushes.row(row - ticks.first);
         const Result torque = Result(tau_).first(pushed_.model().n());  // the command is recorded already
         pushed_.tip_force(Vector(q_).first(torque.size()), push, torque);
         for (size_t i = 0; i < torque.size(); ++i) { simulation_.qfrc_applied[motors_[i].dof] = torque[i]; }
-        copy(push, run.ticks.push);
+        copy(push, ticks.push);
     }
 
     // Notes the geoms that touch, if they changed.
-    void note_contacts(Run& run, size_t row) const {
+    void note_contacts(size_t row, std::string& touching, TickEnd& end) const {
         const Contacts contacts(api_->contacts, simulation_.data);
-        bool is_same = contacts.count() == run.touching.size();
-        for (size_t k = 0; is_same && k < contacts.count(); ++k) { is_same = contacts.geoms(k) == run.touching[k]; }
-        if (is_same) { return; }
-        run.touching.resize(contacts.count());
-        for (size_t k = 0; k < contacts.count(); ++k) { run.touching[k] = contacts.geoms(k); }
-        run.end.contacts.push_back({row, run.touching});
+        std::string geoms;
+        for (size_t k = 0; k < contacts.count(); ++k) {
+            const std::array<std::int32_t, 2> pair = contacts.geoms(k);
+            geoms.append(reinterpret_cast<const char*>(pair.data()), sizeof(pair));
+        }
+        if (geoms == touching) { return; }
+        touching = std::move(geoms);
+        end.contacts.push_back({row, touching});
     }
 
     Numbers zeros() const { return Numbers(joints()); }
@@ -223,7 +206,7 @@ private:
     double diverged_speed_;
     std::mutex in_use_;
     Numbers q_ = zeros(), q_seen_ = zeros(), v_seen_ = zeros(), tau_ = zeros();
-    std::array<double, 6> wrench_{};
+    Wrench wrench_{};
 };
 
 }  // namespace armctl

@@ -37,16 +37,12 @@ public:
         dynamics_.locate(q);
         const Result x = Result(twist_).first(rows());
         copy(twist, x);
-        if (centering_ > 0.0) {
-            const Matrix J = dynamics_.tip_jacobian();
-            for (size_t i = 0; i < n(); ++i) {
-                for (size_t r = 0; r < rows(); ++r) { x[r] -= J(r, i) * centering_speed(i, q[i]); }
-            }
+        const Matrix J = dynamics_.tip_jacobian();
+        for (size_t i = 0; i < n(); ++i) {
+            for (size_t r = 0; r < rows(); ++r) { x[r] -= J(r, i) * centering_speed(i, q[i]); }
         }
         least_velocities(q, x, v);
-        if (centering_ > 0.0) {
-            for (size_t i = 0; i < n(); ++i) { v[i] += centering_speed(i, q[i]); }
-        }
+        for (size_t i = 0; i < n(); ++i) { v[i] += centering_speed(i, q[i]); }
     }
 
     // Moves the joints from q (n,), where they have a slope (n,), a step along the path. `halfway` is the twist half a step
@@ -140,14 +136,5 @@ private:
     std::array<double, 6> twist_{};
     Numbers velocity_, change_;  // (n,)
 };
-
-// The twists (T, 6) of the tip, linear first, world axes, at positions and velocities (T, n).
-inline void tip_twists(Dynamics& dynamics, Matrix q, Matrix v, MatrixResult twists) {
-    for (size_t k = 0; k < q.rows; ++k) {
-        dynamics.locate(q.row(k));
-        const Matrix J = dynamics.tip_jacobian();
-        for (size_t r = 0; r < 6; ++r) { twists(k, r) = dot(J.row(r), v.row(k)); }
-    }
-}
 
 }  // namespace armctl

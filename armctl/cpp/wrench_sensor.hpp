@@ -12,25 +12,8 @@
 
 namespace armctl {
 
-// A wrench at the tip, in world axes.
-struct Wrench {
-    Vec3 force;   // N
-    Vec3 moment;  // N m
-
-    void store(Result numbers) const {
-        force.store(numbers);
-        moment.store(numbers.subspan(3));
-    }
-
-    Wrench& operator+=(const Wrench& other) {
-        force += other.force;
-        moment += other.moment;
-        return *this;
-    }
-};
-
-// A wrench from (6,) numbers, force first.
-inline Wrench wrench_of(Vector numbers) { return {vec3(numbers.first(3)), vec3(numbers.subspan(3, 3))}; }
+// N and N m, at the tip: force first, world axes.
+using Wrench = std::array<double, 6>;
 
 // What a sensor is given at a tick.
 struct WrenchSignals {
@@ -87,14 +70,14 @@ private:
         diagonalize(mobility_, directions_);
         double largest = 0.0;
         for (size_t k = 0; k < rows; ++k) { largest = std::max(largest, mobility_(k, k)); }
-        std::array<double, 6> wrench{};
+        Wrench wrench{};
         for (size_t k = 0; k < rows; ++k) {
             if (!(mobility_(k, k) > singular * largest)) { continue; }
             double along = 0.0;
             for (size_t r = 0; r < rows; ++r) { along += directions_(r, k) * dot(J.row(r), filtered_); }
             for (size_t r = 0; r < rows; ++r) { wrench[r] += directions_(r, k) * along / mobility_(k, k); }
         }
-        return wrench_of(wrench);
+        return wrench;
     }
 
     Numbers zeros() const { return Numbers(dynamics_.model().n()); }
@@ -136,12 +119,12 @@ public:
 
     // The true wrench: of contacts, connections, applied forces and pushes.
     Wrench read(Vector push) const {
-        Wrench wrench;
+        Wrench wrench{};
         if (is_loaded()) {
             api_->rne_post_constraint(simulation_.model, simulation_.data);
             wrench = external_wrench();
         }
-        if (!push.empty()) { wrench += wrench_of(push); }
+        add(push, wrench);
         return wrench;
     }
 
@@ -151,7 +134,7 @@ public:
         if (!is_sampled_) { return truth; }
         if (samples_.empty() || samples_.back().t != signals.t) {
             Wrench wrench = estimate_ ? estimate_->update(signals) : truth;
-            if (!signals.noise.empty()) { wrench += wrench_of(signals.noise); }
+            add(signals.noise, wrench);
             samples_.push_back({signals.t, wrench});
         }
         // The caller's ticks may be shorter than those of the sensor.
@@ -164,8 +147,13 @@ public:
 private:
     struct Sample {
         double t = 0.0;
-        Wrench wrench;
+        Wrench wrench{};
     };
+
+    // Adds a wrench, if there is one.
+    static void add(Vector added, Result wrench) {
+        for (size_t k = 0; k < added.size(); ++k) { wrench[k] += added[k]; }
+    }
 
     bool is_loaded() const {
         if (is_connected_ || Contacts(api_->contacts, simulation_.data).count() != 0) { return true; }
@@ -176,18 +164,20 @@ private:
     // The sum of MuJoCo's external forces on the bodies behind the last joint. Forces between two of the bodies, such as two
     // fingers, cancel.
     Wrench external_wrench() const {
-        Wrench wrench;
+        Vec3 force;
+        Vec3 moment;  // about the center of mass of the tree
         for (const size_t body : bodies_) {
-            const Wrench external = wrench_of(simulation_.cfrc_ext.row(body));  // torque first, about the center of mass of the tree
-            wrench += {.force = external.moment, .moment = external.force};
+            const Vector external = simulation_.cfrc_ext.row(body);
+            moment += vec3(external);
+            force += vec3(external.subspan(3));
         }
         const Rotation rotation = Rotation::from_rows(simulation_.xmat.row(tip_));
         Vec3 lever = vec3(simulation_.xpos.row(tip_)) - vec3(simulation_.subtree_com.row(root_));
         lever += offset_.x * rotation.x;
         lever += offset_.y * rotation.y;
         lever += offset_.z * rotation.z;
-        wrench.moment -= cross(lever, wrench.force);
-        return wrench;
+        moment -= cross(lever, force);
+        return numbers({force, moment});
     }
 
     std::shared_ptr<const MujocoApi> api_;

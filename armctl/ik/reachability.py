@@ -372,12 +372,8 @@ def _manipulabilities(arm: Arm, q: Array, rows: int) -> Array:
     With fewer joints than rows it is sqrt(det(J^T J)) (Yoshikawa, "Manipulability of robotic mechanisms", Int. J. Robotics
     Research 4(2), 1985).
     """
-    dynamics = _core.Dynamics(arm.core_model)
     J = np.empty((len(q), 6, arm.n))
-    for configuration, jacobian in zip(q, J, strict=True):
-        dynamics.place(configuration)
-        dynamics.locate()
-        dynamics.tip_jacobian(jacobian)
+    _core.tip_jacobians(arm.core_model, np.ascontiguousarray(q), J.reshape(len(q), -1))
     J = J[:, :rows]
     J_T = np.swapaxes(J, 1, 2)
     return np.sqrt(np.maximum(np.linalg.det(J @ J_T if arm.n >= rows else J_T @ J), 0.0))

@@ -178,9 +178,7 @@ class InverseDynamics:
     def smooth(self, q: Array, v: Array, a: Array) -> Array:
         """Without dry friction."""
         tau = np.empty(q.shape)
-        _core.inverse_dynamics_along(
-            self._model, np.ascontiguousarray(q), np.ascontiguousarray(v), np.ascontiguousarray(a), tau
-        )
+        _core.inverse_dynamics(self._model, np.ascontiguousarray(q), np.ascontiguousarray(v), np.ascontiguousarray(a), tau)
         return tau
 
     def total(self, q: Array, v: Array, a: Array) -> Array:
@@ -189,7 +187,7 @@ class InverseDynamics:
 
     def holding(self, q: Array) -> Array:
         tau = np.empty(q.shape)
-        _core.gravity_along(self._model, np.ascontiguousarray(q), tau)
+        _core.gravity(self._model, np.ascontiguousarray(q), tau)
         return tau
 
 

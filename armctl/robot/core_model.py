@@ -80,7 +80,7 @@ def tips(core: _core.ArmModel, q: Array) -> tuple[Array, Array]:
     """Positions (T, 3) m and rotation matrices (T, 3, 3) of the tip in the world at each row of q (T, n)."""
     positions = np.empty((len(q), 3))
     rotations = np.empty((len(q), 3, 3))
-    _core.tips(core, np.ascontiguousarray(q), positions, rotations)
+    _core.tips(core, np.ascontiguousarray(q), positions, rotations.reshape(-1, 9))
     return positions, rotations
 
 
@@ -93,24 +93,20 @@ def quaternions(rotations: Array) -> Array:
 
 def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioModel) -> None:
     n = core.n
-    compiled = _core.Dynamics(core)
     tau = np.zeros(n)
     M = np.zeros((n, n))
     J = np.zeros((6, n))
-    position = np.zeros(3)
     rng = np.random.default_rng(0)
     for _ in range(_CHECKED_STATES):
         q, v, a = rng.uniform(-1.0, 1.0, (3, n))
-        compiled.inverse_dynamics(q, v, a, tau)
-        compiled.mass_matrix(M)
-        compiled.locate()
-        compiled.tip_jacobian(J)
-        compiled.tip(position, np.zeros((3, 3)))
+        _core.inverse_dynamics(core, q[None], v[None], a[None], tau[None])
+        _core.mass_matrices(core, q[None], M.reshape(1, -1))
+        _core.tip_jacobians(core, q[None], J.reshape(1, -1))
         pairs = {
             "inverse dynamics": (tau, dynamics.inverse_dynamics(q, v, a)),
             "mass matrix": (M, dynamics.mass_matrix(q)),
             "tip Jacobian": (J, pinocchio_model.jacobian(q)),
-            "tip position": (position, pinocchio_model.tip(q)[0]),
+            "tip position": (tips(core, q[None])[0][0], pinocchio_model.tip(q)[0]),
         }
         for what, (result, reference) in pairs.items():
             error = float(np.abs(result - reference).max() / max(1.0, np.abs(reference).max()))

@@ -39,7 +39,7 @@ class Disturbances:
         self._jitter = np.random.default_rng([plant.seed, 1])
         self._commands: deque[Array] = deque(maxlen=plant.delay + plant.jitter + 1)
         self._age = 0
-        self._dynamics = _core.Dynamics(pushed_arm)
+        self._pushed_arm = pushed_arm
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
@@ -100,7 +100,9 @@ class Disturbances:
             torque = np.zeros(len(q))
             if self._pushes:
                 self.push[:] = self._wrenches(np.array([self._data.time]))[0]
-                self._dynamics.tip_force(q[: self._pushed].copy(), self.push, torque[: self._pushed])
+                _core.tip_forces(
+                    self._pushed_arm, q[None, : self._pushed].copy(), self.push[None], torque[None, : self._pushed]
+                )
             if self._plant.joint_torque is not None:
                 torque += vector("joint_torque", self._plant.joint_torque(q, v, float(self._data.time)), len(q))
             self._train.push(self._data, torque)

@@ -56,14 +56,14 @@ def test_the_regressor_gives_the_torque_of_a_body_at_the_tip(light_wrist, contin
     moments = np.outer(center, center)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     parameters = 0.7 * np.concatenate([[1.0], center, moments])
     rng = np.random.default_rng(0)
-    dynamics = [_core.Dynamics(each.core_model.for_period(0.002, continuous)) for each in (arm, loaded)]
+    models = [each.core_model.for_period(0.002, continuous) for each in (arm, loaded)]
     Y = np.zeros((arm.n, 10))
     tau = np.zeros((2, arm.n))
     for _ in range(5):
         q, v, a = rng.uniform(-1.0, 1.0, (3, arm.n))
-        for row, each in zip(tau, dynamics, strict=True):
-            each.inverse_dynamics(q, v, a, row)
-        _core.payload_regressor(dynamics[0], q, v, a, Y)
+        for row, model in zip(tau, models, strict=True):
+            _core.inverse_dynamics(model, q[None], v[None], a[None], row[None])
+        _core.payload_regressors(models[0], q[None], v[None], a[None], Y.reshape(1, -1))
         assert Y @ parameters == pytest.approx(tau[1] - tau[0], abs=1e-9)
 
 

@@ -111,7 +111,9 @@ def daqp_solution(H, f, M, lower, upper):
 def torque_of_daqp(program, tau_max):
     """The torque of a program; if limits contradict each other, those of velocity and position become costs."""
     H, M, lower, upper, torque = program
-    n = len(H)
+    n = len(torque)
+    H = H.reshape(n, n)
+    M = M.reshape(n, n)
     deviation = daqp_solution(H, np.zeros(n), M, lower, upper)
     if deviation is None:
         nearest = np.clip(0.0, lower[:n], upper[:n])

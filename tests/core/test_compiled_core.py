@@ -25,29 +25,29 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("factors", "x", "message"),
+    ("rotations", "quats", "message"),
     [
-        (np.eye(2), np.zeros((2, 1)), r"x: need an array of shape \(2,\), got \(2, 1\)"),
-        (np.eye(3), np.zeros(2), r"factors: need an array of shape \(2, 2\), got \(3, 3\)"),
-        (np.zeros(2), np.zeros(2), r"factors: need an array of shape \(2, 2\), got \(2,\)"),
-        (np.eye(2), np.array(1.0), r"x: need an array with at least one dimension"),
-        (np.eye(2), np.zeros(2, dtype=np.float32), "x: need a contiguous, writable array of type float64"),
-        (np.eye(2), np.zeros(2, dtype=np.int64), "x: need a contiguous, writable array of type float64"),
-        (np.eye(2), np.zeros(4)[::2], "x: need a contiguous, writable array of type float64"),
-        (np.eye(2), read_only(np.zeros(2)), "x: need a contiguous, writable array of type float64"),
-        (np.asfortranarray([[1.0, 2.0], [3.0, 4.0]]), np.zeros(2), "factors: need a contiguous array of type float64"),
-        ([[1.0]], np.zeros(1), "factors: need a contiguous array of type float64"),
+        (np.zeros((2, 3, 3)), np.zeros((2, 1)), r"quats: need an array of shape \(2, 4\), got \(2, 1\)"),
+        (np.zeros((2, 9)), np.zeros((2, 4)), r"rotations: need an array of shape \(2, 3, 3\), got \(2, 9\)"),
+        (np.zeros((2, 3, 3)), np.zeros(2), r"quats: need an array of shape \(2, 4\), got \(2,\)"),
+        (np.array(1.0), np.zeros((1, 4)), r"rotations: need an array with at least one dimension"),
+        (np.zeros((2, 3, 3)), np.zeros((2, 4), dtype=np.float32), "quats: need a contiguous, writable array of type float64"),
+        (np.zeros((2, 3, 3)), np.zeros((2, 4), dtype=np.int64), "quats: need a contiguous, writable array of type float64"),
+        (np.zeros((2, 3, 3)), np.zeros((2, 8))[:, ::2], "quats: need a contiguous, writable array of type float64"),
+        (np.zeros((2, 3, 3)), read_only(np.zeros((2, 4))), "quats: need a contiguous, writable array of type float64"),
+        (np.zeros((2, 3, 3), order="F"), np.zeros((2, 4)), "rotations: need a contiguous array of type float64"),
+        ([[1.0]], np.zeros((1, 4)), "rotations: need a contiguous array of type float64"),
     ],
 )
-def test_a_wrong_array_is_an_input_error_that_names_it(factors, x, message: str):
+def test_a_wrong_array_is_an_input_error_that_names_it(rotations, quats, message: str):
     with pytest.raises(InputError, match=f"^{message}$"):
-        _core.solve(factors, x)
+        _core.quaternions(rotations, quats)
 
 
 def test_an_array_that_is_only_read_may_be_read_only():
-    x = np.array([3.0])
-    _core.solve(read_only(np.array([[0.5]])), x)
-    assert x[0] == 1.5
+    quats = np.zeros((1, 4))
+    _core.quaternions(read_only(np.eye(3)[None]), quats)
+    assert quats.tolist() == [[1.0, 0.0, 0.0, 0.0]]
 
 
 def test_a_program_that_ends_while_a_thread_has_an_object_of_the_core_prints_nothing():
@@ -68,12 +68,12 @@ begun.wait()
 
 
 def test_the_memory_of_an_array_is_released():
-    x = bytearray(8)
-    array = memoryview(x).cast("d")
-    _core.solve(np.eye(1), array)
+    x = bytearray(32)
+    array = memoryview(x).cast("d", (1, 4))
+    _core.quaternions(np.eye(3)[None], array)
     array.release()
     x.extend(b"a bytearray whose memory somebody still uses cannot grow")
-    assert len(x) > 8
+    assert len(x) > 32
 
 
 def test_a_parent_behind_its_joint_is_an_input_error(bundled: armctl.Arm):

@@ -44,9 +44,9 @@ def test_torques_and_twists_along_a_motion_are_those_of_pinocchio(arm: armctl.Ar
     torques = np.empty_like(q)
     holding = np.empty_like(q)
     twists = np.empty((len(q), 6))
-    _core.inverse_dynamics_along(arm.core_model, q, v, a, torques)
-    _core.gravity_along(arm.core_model, q, holding)
-    _core.tip_twists_along(arm.core_model, q, v, twists)
+    _core.inverse_dynamics(arm.core_model, q, v, a, torques)
+    _core.gravity(arm.core_model, q, holding)
+    _core.tip_twists(arm.core_model, q, v, twists)
     for k in range(len(q)):
         assert torques[k] == pytest.approx(arm.inverse_dynamics(q[k], v[k], a[k]), rel=1e-9, abs=1e-9)
         assert holding[k] == pytest.approx(arm.inverse_dynamics(q[k], 0 * v[k], 0 * a[k]), rel=1e-9, abs=1e-9)

@@ -309,22 +309,22 @@ class Compiled:
 
     def __init__(self, arm: Arm, dt: float, continuous: bool):
         self.n = arm.n
-        self.dynamics = _core.Dynamics(arm.core_model.for_period(dt, continuous))
+        self.model = arm.core_model.for_period(dt, continuous)
+        self.feedforward = _core.PDFeedforward(self.model, stiffness=np.zeros(arm.n), damping=np.zeros(arm.n))
 
     def inverse_dynamics(self, q, v, a):
         tau = np.zeros(self.n)
-        self.dynamics.inverse_dynamics(q, v, a, tau)
+        _core.inverse_dynamics(self.model, q[None], v[None], a[None], tau[None])
         return tau
 
     def friction(self, q, v, a):
-        self.inverse_dynamics(q, v, a)
         tau = np.zeros(self.n)
-        self.dynamics.add_friction(v, a, tau)
-        return tau
+        self.feedforward.torque(q, v, np.array([q, v, a, v, a]), np.zeros(0), tau)
+        return tau - self.inverse_dynamics(q, v, a)
 
     def gravity(self, q):
         tau = np.zeros(self.n)
-        self.dynamics.gravity(q, tau)
+        _core.gravity(self.model, q[None], tau[None])
         return tau
 
 

@@ -234,7 +234,7 @@ class OwnLaw(CompiledController):
         self.stiffness = 5.0
 
     def make_law(self, dt: float, continuous: bool) -> _core.Law:
-        return _core.CFunctionLaw(_spring.address, n=self.n, parameters=np.array([self.stiffness, 1.0]))
+        return armctl.CFunctionLaw(_spring.address, n=self.n, parameters=[self.stiffness, 1.0])
 
 
 class Doubled(OwnLaw):

@@ -4,38 +4,52 @@ namespace nb = nanobind;
 
 namespace armctl {
 
-nb::handle KeywordArguments::value(const char* name) const {
-    const nb::handle found = find(name);
+namespace {
+
+nb::handle find(const nb::kwargs& given, const char* name) { return PyDict_GetItemString(given.ptr(), name); }
+
+PyObject* value(const nb::kwargs& given, const char* name) {
+    const nb::handle found = find(given, name);
     if (!found.is_valid()) { throw InputError(std::string(name) + ": this argument is missing"); }
-    return found;
+    return found.ptr();
 }
 
-double KeywordArguments::number(const char* name) const {
-    const double number = PyFloat_AsDouble(value(name).ptr());
-    if (number == -1.0 && PyErr_Occurred() != nullptr) {
+// What Python made of a value; InputError if it could not, which the value -1 may stand for.
+template <class Number>
+Number converted(Number result, const char* name, const char* needed) {
+    if (result == Number{-1} && PyErr_Occurred() != nullptr) {
         PyErr_Clear();
-        throw InputError(std::string(name) + ": need a number");
+        throw InputError(std::string(name) + ": need " + needed);
     }
-    return number;
+    return result;
 }
 
-std::int64_t KeywordArguments::integer(const char* name) const {
-    const std::int64_t number = PyLong_AsLongLong(value(name).ptr());
-    if (number == -1 && PyErr_Occurred() != nullptr) {
-        PyErr_Clear();
-        throw InputError(std::string(name) + ": need an integer");
-    }
-    return number;
+}  // namespace
+
+bool Arguments::has(const char* name) const { return find(*given_, name).is_valid() && !find(*given_, name).is_none(); }
+
+double Arguments::number(const char* name) const { return converted(PyFloat_AsDouble(value(*given_, name)), name, "a number"); }
+
+std::int64_t Arguments::integer(const char* name) const {
+    return converted<std::int64_t>(PyLong_AsLongLong(value(*given_, name)), name, "an integer");
 }
 
-size_t KeywordArguments::length(const char* name) const {
-    const Py_ssize_t length = PyObject_Length(value(name).ptr());
-    if (length < 0) {
-        PyErr_Clear();
-        throw InputError(std::string(name) + ": need an array with at least one dimension");
-    }
-    return static_cast<size_t>(length);
+size_t Arguments::length(const char* name) const {
+    const Py_ssize_t length = PyObject_Length(value(*given_, name));
+    return static_cast<size_t>(converted(length, name, "an array with at least one dimension"));
 }
+
+template <class Number>
+std::span<Number> Arguments::array(std::initializer_list<size_t> shape, const char* name) const {
+    Array<Number> array;
+    array.acquire(value(*given_, name));
+    return array.shaped(shape, name);
+}
+
+template Vector Arguments::array(std::initializer_list<size_t>, const char*) const;
+template Result Arguments::array(std::initializer_list<size_t>, const char*) const;
+template Integers Arguments::array(std::initializer_list<size_t>, const char*) const;
+template std::span<std::int64_t> Arguments::array(std::initializer_list<size_t>, const char*) const;
 
 namespace {
 

@@ -10,7 +10,6 @@
 
 #include <algorithm>
 #include <initializer_list>
-#include <utility>
 #include <vector>
 
 #include "errors.hpp"
@@ -24,16 +23,12 @@ class Array {
 public:
     Array() = default;
     Array(const Array&) = delete;
-    Array(Array&& other) noexcept : view_(std::exchange(other.view_, {})) {}
     Array& operator=(const Array&) = delete;
-    Array& operator=(Array&& other) noexcept {
-        std::swap(view_, other.view_);
-        return *this;
-    }
     ~Array() { PyBuffer_Release(&view_); }
 
     // Takes the memory of an object. What is wrong with it is reported by `vector` and `matrix`, which know the argument's name.
     void acquire(PyObject* object) noexcept {
+        is_none_ = object == Py_None;
         const int access = std::is_const_v<Number> ? PyBUF_SIMPLE : PyBUF_WRITABLE;
         if (PyObject_GetBuffer(object, &view_, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | access) != 0) {
             PyErr_Clear();
@@ -58,6 +53,9 @@ public:
 
     // An array of shape (size,).
     std::span<Number> vector(size_t size, const char* name) const { return shaped({size}, name); }
+
+    // The same, or an empty span for None.
+    std::span<Number> optional_vector(size_t size, const char* name) const { return is_none_ ? std::span<Number>() : vector(size, name); }
 
     // An array of shape (rows, columns).
     MatrixSpan<Number> matrix(size_t rows, size_t columns, const char* name) const {
@@ -103,6 +101,7 @@ private:
     }
 
     Py_buffer view_{};
+    bool is_none_ = false;
 };
 
 using In = Array<const double>;

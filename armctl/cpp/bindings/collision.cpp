@@ -71,8 +71,8 @@ void bind_scene(nb::module_& module) {
         .value("PLANE", ShapeKind::plane);
     nb::class_<CollisionModel>(module, "CollisionModel",
                                "What an arm could touch: shapes, the joints that move them, and pairs. Immutable.")
-        .def(nb::new_([](const nb::kwargs& arguments) { return std::make_shared<CollisionModel>(KeywordArguments(arguments)); }),
-             "arguments"_a, "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.");
+        .def(nb::new_([](const nb::kwargs& arguments) { return std::make_shared<CollisionModel>(Arguments(arguments)); }), "arguments"_a,
+             "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.");
     nb::class_<PairDistance>(module, "PairDistance", "A pair and its distance.")
         .def_ro("pair", &PairDistance::pair, "Its row, or the number of pairs where there is none.")
         .def_ro("distance", &PairDistance::distance, "m");

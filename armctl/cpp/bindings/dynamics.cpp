@@ -1,8 +1,12 @@
-// The arm's model, its dynamics, and small linear algebra.
+// The arm's model, what it does at many states, and poses.
 #include "dynamics.hpp"
 
 #include <nanobind/stl/shared_ptr.h>
 
+#include <array>
+#include <tuple>
+
+#include "../laws/payload_regressor.hpp"
 #include "arguments.hpp"
 #include "topics.hpp"
 
@@ -15,123 +19,99 @@ namespace {
 
 void bind_model(nb::module_& module) {
     nb::class_<ArmModel>(module, "ArmModel", "The model of an arm: a tree of links. Immutable.")
-        .def(nb::new_([](const nb::kwargs& given) { return std::make_shared<ArmModel>(KeywordArguments(given)); }), "given"_a,
+        .def(nb::new_([](const nb::kwargs& given) { return std::make_shared<ArmModel>(Arguments(given)); }), "given"_a,
              "A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains them.")
         .def_prop_ro("n", &ArmModel::n, "The number of joints that the arm's motors drive.")
         .def("for_period", &ArmModel::for_period, "dt"_a, "continuous"_a,
              "The model for a control period, s: one step of MuJoCo, or a continuous motion. dt = 0 is continuous time.");
 }
 
-// An array (n,) with a number for each joint.
-template <class Array>
-auto joints(const Dynamics& dynamics, const Array& array, const char* name) {
-    return array.vector(dynamics.model().n(), name);
+// An array with rows for the states of an arm.
+struct StateRows {
+    const char* name;
+    size_t per_joint;  // numbers of a row for each of the n joints
+    size_t further = 0;
+    size_t per_pair = 0;  // of joints
+};
+
+// Binds a function of one state for T of them. A call has its own scratch memory, and runs without the GIL.
+template <class... Spans>
+void bind_states(nb::module_& module, const char* function_name, void (*function)(Dynamics&, Spans...),
+                 const std::array<StateRows, sizeof...(Spans)>& rows, const char* doc) {
+    const auto at_all_states = [function, rows](const Model& model, const Array<typename Spans::element_type>&... arrays) {
+        const size_t count = std::get<0>(std::tie(arrays...)).length(rows[0].name);
+        auto matrix = [count, n = model->n(), next = rows.data()](const auto& array) mutable {
+            const StateRows& expected = *next++;
+            return array.matrix(count, expected.per_joint * n + expected.further + expected.per_pair * n * n, expected.name);
+        };
+        const std::tuple matrices{matrix(arrays)...};
+        Dynamics dynamics(model);
+        for (size_t k = 0; k < count; ++k) {
+            std::apply([&](const auto&... each) { function(dynamics, each.row(k)...); }, matrices);
+        }
+    };
+    const auto bind = [&](const auto&... each) {
+        module.def(function_name, at_all_states, "model"_a, nb::arg(each.name)..., nb::call_guard<nb::gil_scoped_release>(), doc);
+    };
+    std::apply(bind, rows);
 }
 
-// Calls that take less time than to release and to take the GIL keep it.
-void bind_workspace(nb::module_& module) {
-    nb::class_<Dynamics>(module, "Dynamics",
-                         "The equations of motion of an arm, with scratch memory: use an object in one thread at a time.\n\n"
-                         "Results are written into the last argument.")
-        .def(nb::init<Model>(), "model"_a)
-        .def(
-            "place", [](Dynamics& self, const In& q) { self.place(joints(self, q, "q")); }, "q"_a, "Places the joints at q (n,) rad.")
-        .def(
-            "gravity", [](Dynamics& self, const In& q, const Out& tau) { self.gravity(joints(self, q, "q"), joints(self, tau, "tau")); },
-            "q"_a, "tau"_a, "The torque that holds the arm at rest, (n,) N m. Places the joints.")
-        .def(
-            "inverse_dynamics",
-            [](Dynamics& self, const In& q, const In& v, const In& a, const Out& tau) {
-                self.inverse_dynamics(joints(self, q, "q"), joints(self, v, "v"), joints(self, a, "a"), joints(self, tau, "tau"));
-            },
-            "q"_a, "v"_a, "a"_a, "tau"_a,
-            "The torque that changes the velocity by a dt over the period, (n,) N m, without dry friction. Places the joints.")
-        .def(
-            "add_friction",
-            [](Dynamics& self, const In& v_ref, const In& a_ref, const Out& tau) {
-                self.add_friction(joints(self, v_ref, "v_ref"), joints(self, a_ref, "a_ref"), joints(self, tau, "tau"));
-            },
-            "v_ref"_a, "a_ref"_a, "tau"_a, "Adds the torque against dry friction on the reference motion, where the joints are placed.")
-        .def(
-            "coriolis_product",
-            [](Dynamics& self, const In& v, const In& w, const Out& tau) {
-                self.coriolis_product(joints(self, v, "v"), joints(self, w, "w"), joints(self, tau, "tau"));
-            },
-            "v"_a, "w"_a, "tau"_a, "C(q, v) w (n,) N m, where the joints are placed.")
-        .def(
-            "mass_matrix",
-            [](Dynamics& self, const Out& M) {
-                const size_t n = self.model().n();
-                self.mass_matrix(M.matrix(n, n, "M"));
-            },
-            "M"_a, "The (n, n) mass matrix with armature, kg m^2, where the joints are placed.")
-        .def("locate", nb::overload_cast<>(&Dynamics::locate), "Finds the frames of all joints in the world, where the joints are placed.")
-        .def(
-            "tip",
-            [](const Dynamics& self, const Out& position, const Out& rotation) {
-                const Pose tip = self.tip();
-                tip.translation.store(position.vector(3, "position"));
-                tip.rotation.to_rows(rotation.shaped({3, 3}, "rotation"));
-            },
-            "position"_a, "rotation"_a, "Position (3,) m and rotation matrix (3, 3) of the tip in the world, after `locate`.")
-        .def(
-            "tip_jacobian", [](Dynamics& self, const Out& J) { copy(self.tip_jacobian().numbers(), J.shaped({6, self.model().n()}, "J")); },
-            "J"_a, "The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.")
-        .def(
-            "tip_force",
-            [](Dynamics& self, const In& q, const In& wrench, const Out& tau) {
-                self.tip_force(joints(self, q, "q"), wrench.vector(6, "wrench"), joints(self, tau, "tau"));
-            },
-            "q"_a, "wrench"_a, "tau"_a, "J(q)^T wrench, (n,) N m, for a wrench (6,) on the tip: force first, world axes.")
-        .def(
-            "tip_motion",
-            [](Dynamics& self, const In& q, const In& v, const In& a, const Out& motion) {
-                const MatrixResult rows = motion.matrix(3, 3, "motion");
-                const BodyMotion tip = self.tip_motion(joints(self, q, "q"), joints(self, v, "v"), joints(self, a, "a"));
-                tip.omega.store(rows.row(0));
-                tip.alpha.store(rows.row(1));
-                tip.linear.store(rows.row(2));
-            },
-            "q"_a, "v"_a, "a"_a, "motion"_a,
-            "Angular velocity, angular acceleration, and acceleration minus gravity of the tip in its own axes, (3, 3).");
+void tip_pose(Dynamics& dynamics, Vector q, Result position, Result rotation) {
+    dynamics.locate(q);
+    dynamics.tip().translation.store(position);
+    dynamics.tip().rotation.to_rows(rotation);
 }
 
-void bind_linear_algebra(nb::module_& module) {
-    module.def(
-        "factorize",
-        [](const Out& M) {
-            const size_t n = M.length("M");
-            factorize(M.matrix(n, n, "M"));
-        },
-        "M"_a, "Factorizes a positive definite (n, n) matrix in place, as L D L^T, for `solve`.");
-    module.def(
-        "solve",
-        [](const In& factors, const Out& x) {
-            const size_t n = x.length("x");
-            solve(factors.matrix(n, n, "factors"), x.vector(n, "x"));
-        },
-        "factors"_a, "x"_a, "Replaces x (n,) by the solution of M solution = x, with M as `factorize` leaves it.");
+void tip_jacobian(Dynamics& dynamics, Vector q, Result J) {
+    dynamics.locate(q);
+    copy(dynamics.tip_jacobian().numbers(), J);
 }
 
-void bind_poses(nb::module_& module) {
-    module.def(
-        "tips",
-        [](const Model& model, const In& q, const Out& positions, const Out& rotations) {
-            const size_t count = q.length("q");
-            const Matrix rows = q.matrix(count, model->n(), "q");
-            const MatrixResult position_rows = positions.matrix(count, 3, "positions");
-            const MatrixResult rotation_rows{rotations.shaped({count, 3, 3}, "rotations").data(), count, 9};
-            const nb::gil_scoped_release release;
-            Dynamics dynamics(model);
-            for (size_t k = 0; k < count; ++k) {
-                dynamics.locate(rows.row(k));
-                const Pose tip = dynamics.tip();
-                tip.translation.store(position_rows.row(k));
-                tip.rotation.to_rows(rotation_rows.row(k));
-            }
+void tip_twist(Dynamics& dynamics, Vector q, Vector v, Result twist) {
+    dynamics.locate(q);
+    const Matrix J = dynamics.tip_jacobian();
+    for (size_t r = 0; r < J.rows; ++r) { twist[r] = dot(J.row(r), v); }
+}
+
+void bind_all_states(nb::module_& module) {
+    bind_states(
+        module, "inverse_dynamics", +[](Dynamics& arm, Vector q, Vector v, Vector a, Result tau) { arm.inverse_dynamics(q, v, a, tau); },
+        {{{"q", 1}, {"v", 1}, {"a", 1}, {"tau", 1}}},
+        "The torques that change the velocity by a dt over the period, without dry friction: (T, n) N m.");
+    bind_states(
+        module, "gravity", +[](Dynamics& arm, Vector q, Result tau) { arm.gravity(q, tau); }, {{{"q", 1}, {"tau", 1}}},
+        "The torques that hold the arm still: (T, n) N m.");
+    bind_states(module, "tips", tip_pose, {{{"q", 1}, {"positions", 0, 3}, {"rotations", 0, 9}}},
+                "Positions (T, 3) m and rotation matrices (T, 9), row by row, of the tip in the world at each row of q (T, n).");
+    bind_states(
+        module, "mass_matrices",
+        +[](Dynamics& arm, Vector q, Result M) {
+            arm.place(q);
+            arm.mass_matrix({M.data(), q.size(), q.size()});
         },
-        "model"_a, "q"_a, "positions"_a, "rotations"_a,
-        "Positions (T, 3) m and rotation matrices (T, 3, 3) of the tip in the world at each row of q (T, n).");
+        {{{"q", 1}, {"M", 0, 0, 1}}}, "The mass matrices with armature, (T, n n) kg m^2, row by row.");
+    bind_states(module, "tip_jacobians", tip_jacobian, {{{"q", 1}, {"J", 6}}},
+                "The Jacobians of the tip, (T, 6 n), row by row: linear first, world axes.");
+    bind_states(module, "tip_twists", tip_twist, {{{"q", 1}, {"v", 1}, {"twists", 0, 6}}},
+                "The twists (T, 6) of the tip, linear first, world axes.");
+    bind_states(
+        module, "tip_forces", +[](Dynamics& arm, Vector q, Vector wrench, Result tau) { arm.tip_force(q, wrench, tau); },
+        {{{"q", 1}, {"wrenches", 0, 6}, {"tau", 1}}},
+        "J(q)^T wrench, (T, n) N m, for wrenches (T, 6) on the tip: force first, world axes.");
+    bind_states(
+        module, "payload_regressors",
+        +[](Dynamics& arm, Vector q, Vector v, Vector a, Result Y) {
+            payload_regressor(arm, q, v, a, {Y.data(), q.size(), body_parameters});
+        },
+        {{{"q", 1}, {"v", 1}, {"a", 1}, {"Y", body_parameters}}},
+        "The torques per inertial parameter of a body at the tip, (T, 10 n), row by row: mass, first moment, second moments.");
+}
+
+}  // namespace
+
+void bind_dynamics(nb::module_& module) {
+    bind_model(module);
+    bind_all_states(module);
     module.def(
         "quaternions",
         [](const In& rotations, const Out& quats) {
@@ -146,15 +126,6 @@ void bind_poses(nb::module_& module) {
             }
         },
         "rotations"_a, "quats"_a, "The unit quaternions wxyz (T, 4), w >= 0, of rotation matrices (T, 3, 3).");
-}
-
-}  // namespace
-
-void bind_dynamics(nb::module_& module) {
-    bind_model(module);
-    bind_workspace(module);
-    bind_linear_algebra(module);
-    bind_poses(module);
 }
 
 }  // namespace armctl

@@ -13,37 +13,33 @@ namespace armctl {
 
 namespace {
 
-// Rows, with what belongs to Python and has to stay: their arrays and simulations.
-class HeldRows {
+// What belongs to Python and has to stay: the arrays of rows.
+struct HeldArguments {
+    nb::kwargs given;
+    Arguments arguments{given};
+};
+
+// Rows with their arrays and simulations.
+class HeldRows : private HeldArguments, public EnvironmentRows {
 public:
-    HeldRows(std::shared_ptr<const MujocoApi> api, const Model& arm, const Law& law, nb::kwargs given)
-        : arguments_(std::move(given)), rows_(std::move(api), arm, law, arguments_) {}
+    HeldRows(std::shared_ptr<const MujocoApi> api, const Model& arm, const Law& law, nb::kwargs kwargs)
+        : HeldArguments{std::move(kwargs)}, EnvironmentRows(std::move(api), arm, law, arguments) {}
 
     HeldRows(const HeldRows&) = delete;
     HeldRows& operator=(const HeldRows&) = delete;
 
-    void set_simulation(size_t row, nb::object model, nb::object data) {
-        rows_.set_simulation(row, mujoco_simulation(model, data));
+    void hold_simulation(size_t row, nb::object model, nb::object data) {
+        set_simulation(row, mujoco_simulation(model, data));
         simulations_[nb::int_(row)] = nb::make_tuple(std::move(model), std::move(data));
     }
 
-    void restart(size_t row, size_t delay) { rows_.restart(row, delay); }
-
-    std::string step(size_t first, size_t last) {
-        nb::gil_scoped_release release;
-        return rows_.step(first, last);
-    }
-
-    void rehearse(const In& action, const Out& target, const Out& q_ref, const Out& v_ref) const {
-        const size_t n = rows_.joints();
-        rows_.rehearse(action.vector(rows_.action_size(), "action"), target.vector(n, "target"), q_ref.vector(n, "q_ref"),
-                       v_ref.vector(n, "v_ref"));
+    void rehearse_arrays(const In& action, const Out& target, const Out& q_ref, const Out& v_ref) const {
+        const size_t n = joints();
+        rehearse(action.vector(action_size(), "action"), target.vector(n, "target"), q_ref.vector(n, "q_ref"), v_ref.vector(n, "v_ref"));
     }
 
 private:
-    KeywordArguments arguments_;
     nb::dict simulations_;
-    EnvironmentRows rows_;
 };
 
 }  // namespace
@@ -61,12 +57,12 @@ void bind_environments(nb::module_& module) {
              }),
              "api"_a, "arm"_a, "law"_a, "given"_a,
              "Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains the arguments.")
-        .def("set_simulation", &HeldRows::set_simulation, "row"_a, "model"_a, "data"_a, "Gives a copy its mujoco.MjModel and MjData.")
+        .def("set_simulation", &HeldRows::hold_simulation, "row"_a, "model"_a, "data"_a, "Gives a copy its mujoco.MjModel and MjData.")
         .def("restart", &HeldRows::restart, "row"_a, "delay"_a,
              "Begins an episode of a copy, whose commands are delayed by some ticks; its arrays are the caller's.")
-        .def("step", &HeldRows::step, "first"_a, "last"_a,
+        .def("step", &HeldRows::step, "first"_a, "last"_a, nb::call_guard<nb::gil_scoped_release>(),
              "Steps the copies [first, last). Returns MuJoCo's message if it could not make a step; else an empty text.")
-        .def("rehearse", &HeldRows::rehearse, "action"_a, "target"_a, "q_ref"_a, "v_ref"_a,
+        .def("rehearse", &HeldRows::rehearse_arrays, "action"_a, "target"_a, "q_ref"_a, "v_ref"_a,
              "Moves target and reference, (n,) each, as a step does; the arms stay where they are.");
 }
 

@@ -160,7 +160,7 @@ void bind_chain(nb::module_& module) {
                       "The chain of an arm from its base to the tip, with k joints and n unknowns. Immutable.\n\n"
                       "Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last "
                       "arguments.")
-        .def(nb::new_([](const nb::kwargs& arguments) { return std::make_shared<Chain>(KeywordArguments(arguments)); }), "arguments"_a,
+        .def(nb::new_([](const nb::kwargs& arguments) { return std::make_shared<Chain>(Arguments(arguments)); }), "arguments"_a,
              "A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.")
         .def("contains", &contains, "q"_a, "Whether q is a contiguous array of n float64 inside the bounds.")
         .def("search_one", &search_one, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "last"_a,
@@ -200,7 +200,7 @@ double linearize(ErrorModel& model, const In& target, Constraint constraint, dou
 }
 
 std::shared_ptr<ClosedForm> make_closed_form(std::shared_ptr<const Chain> chain, const nb::kwargs& arguments) {
-    return std::make_shared<ClosedForm>(std::move(chain), KeywordArguments(arguments));
+    return std::make_shared<ClosedForm>(std::move(chain), Arguments(arguments));
 }
 
 Solutions solve_with_closed_form(const ClosedForm& closed_form, const In& target, const In& q0, double position_tolerance,

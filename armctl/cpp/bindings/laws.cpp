@@ -78,28 +78,22 @@ void bind_law(nb::module_& module) {
         .def("clone", &Law::clone, "The same law and gains with memory of its own, at the start of a run.");
 }
 
-// The class of a law with a model, or around another law. Its keyword arguments have the names of its members.
+// The class of a law with a model, around another law, or of a function. Its keyword arguments have the names of its members.
 template <class ConcreteLaw, class Base = Law, class Of = Model>
-nb::class_<ConcreteLaw, Base> bind(nb::module_& module, const char* name, const char* doc) {
-    const auto make = [](const Of& of, const nb::kwargs& gains) { return new ConcreteLaw(of, KeywordArguments(gains)); };
-    return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), "of"_a, "gains"_a);
+nb::class_<ConcreteLaw, Base> bind(nb::module_& module, const char* name, const char* doc, const char* of_name = "of") {
+    const auto make = [](const Of& of, const nb::kwargs& gains) { return new ConcreteLaw(of, Arguments(gains)); };
+    return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), nb::arg(of_name), "gains"_a);
 }
 
 void bind_without_model(nb::module_& module) {
     nb::class_<PD, Law>(module, "PD", "tau = stiffness (q_ref - q) + damping (v_ref - v)").def(nb::new_([](const nb::kwargs& gains) {
-        return new PD(KeywordArguments(gains));
+        return new PD(Arguments(gains));
     }));
     bind<TorqueRateLimit, Law, std::shared_ptr<Law>>(module, "TorqueRateLimit", "A law whose torques change at limited rates.");
     bind<TorqueFilter, Law, std::shared_ptr<Law>>(module, "TorqueFilter",
                                                   "A law whose torques go through filters of second-order sections.");
-    nb::class_<CFunctionLaw, Law>(module, "CFunctionLaw",
-                                  "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.")
-        .def(nb::new_([](std::uintptr_t address, size_t n, const In& parameters, size_t memory_size, bool needs_wrench) {
-                 const Vector numbers = parameters.vector(parameters.length("parameters"), "parameters");
-                 return new CFunctionLaw(reinterpret_cast<LawFunction>(address), n, numbers, memory_size, needs_wrench);
-             }),
-             "address"_a, nb::kw_only(), "n"_a, "parameters"_a, "memory_size"_a = 0, "needs_wrench"_a = false,
-             "A law from the address of its function, which has to exist as long as the law.");
+    bind<CFunctionLaw, Law, std::uintptr_t>(module, "CFunctionLaw",
+                                            "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.", "address");
 }
 
 void bind_computed_torque(nb::module_& module) {
@@ -112,18 +106,10 @@ void bind_computed_torque(nb::module_& module) {
                                                          "Computed torque with an observer, which learns payload, friction and delay.")
         .def_prop_ro("estimate", &shared<ComputedTorqueLearning, &ComputedTorqueLearning::estimate>,
                      "The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.");
-    module.def(
-        "payload_regressor",
-        [](Dynamics& dynamics, const In& q, const In& v, const In& a, const Out& Y) {
-            const size_t n = dynamics.model().n();
-            payload_regressor(dynamics, q.vector(n, "q"), v.vector(n, "v"), a.vector(n, "a"), Y.matrix(n, body_parameters, "Y"));
-        },
-        "dynamics"_a, "q"_a, "v"_a, "a"_a, "Y"_a,
-        "The torques per inertial parameter of a body at the tip, written into Y (n, 10): mass, first moment, second moments.");
 }
 
-nb::object numpy_copy(Vector numbers, std::initializer_list<size_t> shape) {
-    return nb::cast(nb::ndarray<nb::numpy, const double>(numbers.data(), shape), nb::rv_policy::copy);
+nb::object numpy_copy(Vector numbers) {
+    return nb::cast(nb::ndarray<nb::numpy, const double>(numbers.data(), {numbers.size()}), nb::rv_policy::copy);
 }
 
 void bind_qp(nb::module_& module) {
@@ -131,12 +117,13 @@ void bind_qp(nb::module_& module) {
         .def(
             "last_program",
             [](const ComputedTorqueQP& self) -> nb::object {
-                const size_t n = self.joints();
                 if (!self.is_limited()) { return nb::none(); }
-                return nb::make_tuple(numpy_copy(self.H(), {n, n}), numpy_copy(self.M(), {n, n}), numpy_copy(self.lower(), {2 * n}),
-                                      numpy_copy(self.upper(), {2 * n}), numpy_copy(self.torque(), {n}));
+                const QuadraticProgram program = self.program();
+                return nb::make_tuple(numpy_copy(program.H.numbers()), numpy_copy(program.M.numbers()), numpy_copy(program.lower),
+                                      numpy_copy(program.upper), numpy_copy(self.torque()));
             },
-            "H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without\n"
+            "H and M row by row, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m "
+            "without\n"
             "limits; None if the torque was not limited.");
     bind<MPC, ComputedTorqueQP>(module, "MPC", "Model predictive control within limits of torque, velocity and position.")
         .def_prop_ro("counts", &shared<MPC, &MPC::counts>,
@@ -164,14 +151,14 @@ void bind_task_space(nb::module_& module) {
     bind<OperationalSpace>(module, "OperationalSpace", "Operational space control with a posture in the null space.");
     bind<Impedance>(module, "Impedance", "Cartesian impedance control without inertia shaping.")
         .def(
-            "set_stiffness", [](Impedance& self, const nb::kwargs& gains) { self.set_stiffness(KeywordArguments(gains)); },
+            "set_stiffness", [](Impedance& self, const nb::kwargs& gains) { self.set_stiffness(Arguments(gains)); },
             "Replaces the stiffness of the tip, (6,) N/m and N m/rad.");
     bind<Admittance>(module, "Admittance", "Admittance control: a position loop follows a compliant reference.")
         .def_prop_ro("offset", &shared<Admittance, &Admittance::offset>,
                      "The displacement of the reference, (6,) m and rad; a part of the memory.");
     bind<HybridForce>(module, "HybridForce", "Hybrid force/motion control with contact transition.")
         .def(
-            "set_axes", [](HybridForce& self, const nb::kwargs& axes) { self.set_axes(KeywordArguments(axes)); },
+            "set_axes", [](HybridForce& self, const nb::kwargs& axes) { self.set_axes(Arguments(axes)); },
             "Replaces the force axes, `is_force` and `targets` (6,). One that comes back later begins with an approach.")
         .def_prop_ro("in_contact", &HybridForce::in_contact, "Whether every force axis with a target is in contact.");
 }

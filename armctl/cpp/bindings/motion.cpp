@@ -13,7 +13,7 @@ namespace armctl {
 namespace {
 
 bool find_path_speed(const Out& coefficients, double interval_length, bool from_near, const nb::kwargs& arguments) {
-    const KeywordArguments given(arguments);
+    const Arguments given(arguments);
     const SpeedBounds bounds(given);
     const Result c = coefficients.vector(coefficients.length("coefficients"), "coefficients");
     const nb::gil_scoped_release release;
@@ -21,7 +21,7 @@ bool find_path_speed(const Out& coefficients, double interval_length, bool from_
 }
 
 void make_motion_fastest(const Out& motion, const nb::kwargs& arguments) {
-    const KeywordArguments given(arguments);
+    const Arguments given(arguments);
     const Waypoints waypoints(given);
     if (waypoints.K < 2) { throw InputError("q: need at least 2 waypoints"); }
     const Result unknowns = motion.vector(waypoints.K * (2 * waypoints.n + 1) - 1, "motion");

@@ -1,7 +1,6 @@
 // MuJoCo's functions, the tick loop of simulations, and what it is made of.
 #include "../tick_loop.hpp"
 
-#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -21,7 +20,7 @@ using Api = std::shared_ptr<const MujocoApi>;
 void bind_api(nb::module_& module) {
     nb::class_<MujocoApi>(module, "MujocoApi", "MuJoCo's functions by their addresses, and where mjData keeps contacts.")
         .def(nb::new_([](nb::handle empty_model, const nb::kwargs& given) {
-                 return new MujocoApi(mujoco_model(empty_model), KeywordArguments(given));
+                 return new MujocoApi(mujoco_model(empty_model), Arguments(given));
              }),
              "empty_model"_a, "given"_a, nb::keep_alive<0, 2>());
 }
@@ -39,58 +38,48 @@ void bind_delay(nb::module_& module) {
             "tau"_a, "delayed"_a, "Takes the command of this tick, (n,) N m, and gives that of some ticks ago.");
 }
 
-using OptionalIn = std::optional<In>;
-
-Vector optional(const OptionalIn& wrench, const char* name) { return wrench ? wrench->vector(6, name) : Vector(); }
-
 void bind_wrench_sensor(nb::module_& module) {
     nb::class_<WrenchSensor>(module, "WrenchSensor", "The wrench of the environment on a tip, true or measured.")
         .def(nb::new_([](Api api, nb::handle model, nb::handle data, const Model& arm, const nb::kwargs& given) {
-                 return new WrenchSensor(std::move(api), mujoco_simulation(model, data), arm, KeywordArguments(given));
+                 return new WrenchSensor(std::move(api), mujoco_simulation(model, data), arm, Arguments(given));
              }),
              "api"_a, "model"_a, "data"_a, "arm"_a, "given"_a, nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
              "A sensor in a mujoco.MjModel and MjData; armctl/cpp/wrench_sensor.hpp explains the arguments.")
         .def("reset", &WrenchSensor::reset, "Forgets all measurements.")
         .def(
             "read",
-            [](const WrenchSensor& self, const OptionalIn& push, const Out& wrench) {
-                self.read(optional(push, "push")).store(wrench.vector(6, "wrench"));
+            [](const WrenchSensor& self, const In& push, const Out& wrench) {
+                copy(self.read(push.optional_vector(6, "push")), wrench.vector(6, "wrench"));
             },
             "push"_a.none(), "wrench"_a, "The true wrench now, (6,), with that of the plant's pushes.")
         .def(
             "measure",
-            [](WrenchSensor& self, const In& q, const In& v, const In& tau, double t, const OptionalIn& noise, const OptionalIn& push,
-               const Out& wrench, const Out& truth) {
+            [](WrenchSensor& self, const In& q, const In& v, const In& tau, double t, const In& noise, const In& push, const Out& wrench,
+               const Out& truth) {
                 const size_t n = self.joints();
                 const WrenchSignals signals{
                     .t = t,
                     .q = q.vector(n, "q"),
                     .v = v.vector(n, "v"),
                     .tau = tau.vector(n, "tau"),
-                    .noise = optional(noise, "noise"),
-                    .push = optional(push, "push"),
+                    .noise = noise.optional_vector(6, "noise"),
+                    .push = push.optional_vector(6, "push"),
                 };
                 Wrench true_wrench;
-                self.measure(signals, true_wrench).store(wrench.vector(6, "wrench"));
-                true_wrench.store(truth.vector(6, "truth"));
+                copy(self.measure(signals, true_wrench), wrench.vector(6, "wrench"));
+                copy(true_wrench, truth.vector(6, "truth"));
             },
             "q"_a, "v"_a, "tau"_a, "t"_a, "noise"_a.none(), "push"_a.none(), "wrench"_a, "truth"_a,
             "What the sensor gives at this tick, and the true wrench, (6,) each.\n\n"
             "The state and the torque of the motors in the last tick are measured, (n,) each.");
 }
 
-std::vector<GeomPair> geoms_of(const nb::bytes& geoms) {
-    const GeomPair* first = static_cast<const GeomPair*>(geoms.data());
-    const size_t count = geoms.size() / sizeof(GeomPair);
-    return {first, first + count};
-}
-
 void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSensor* sensor, const nb::bytes& touching,
                const nb::kwargs& given) {
-    const KeywordArguments arguments(given);
+    const Arguments arguments(given);
     const Ticks ticks(arguments, loop.joints(), loop.simulation().qpos.size());
     loop.check(ticks, law, delay, sensor);
-    std::vector<GeomPair> geoms = geoms_of(touching);
+    std::string geoms(touching.c_str(), touching.size());
     // The ticks use a law of their own, so that another simulation may use this one at the same time.
     const std::unique_ptr<Law> own = law.clone();
     own->set_memory(law.memory());
@@ -104,7 +93,7 @@ void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSenso
 nb::list contact_changes(const TickEnd& end) {
     nb::list changes;
     for (const ContactChange& change : end.contacts) {
-        changes.append(nb::make_tuple(change.row, nb::bytes(change.geoms.data(), change.geoms.size() * sizeof(GeomPair))));
+        changes.append(nb::make_tuple(change.row, nb::bytes(change.geoms.data(), change.geoms.size())));
     }
     return changes;
 }
@@ -130,7 +119,7 @@ void bind_tick_end(nb::module_& module) {
 void bind_loop(nb::module_& module) {
     nb::class_<TickLoop>(module, "TickLoop", "The tick loop of one simulation: measure, control, step, record. One thread at a time.")
         .def(nb::new_([](Api api, nb::handle model, nb::handle data, const Model& pushed_arm, const nb::kwargs& given) {
-                 return new TickLoop(std::move(api), mujoco_simulation(model, data), pushed_arm, KeywordArguments(given));
+                 return new TickLoop(std::move(api), mujoco_simulation(model, data), pushed_arm, Arguments(given));
              }),
              "api"_a, "model"_a, "data"_a, "pushed_arm"_a, "given"_a, nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
              "The loop of a mujoco.MjModel and MjData; armctl/cpp/tick_loop.hpp explains the arguments.")

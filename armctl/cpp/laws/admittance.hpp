@@ -1,6 +1,5 @@
 // Admittance control: the reference of the tip yields to measured forces like a mass on a spring and a damper.
 #pragma once
-#include "../errors.hpp"
 #include "task_space.hpp"
 
 namespace armctl {
@@ -12,11 +11,9 @@ namespace armctl {
 class Admittance final : public Cloneable<Admittance> {
 public:
     Admittance(const Model& model, const Arguments& gains)
-        : Cloneable(model->n(), size_t{3} * 6, true), mass_(gains.gains(6, "mass")), damping_(gains.gains(6, "damping")),
-          stiffness_(gains.gains(6, "stiffness")), bandwidth_(gains.gain("bandwidth")), dt_(gains.gain("dt")),
-          task_(model, task_rows(model->n())) {
-        if (std::ranges::count(mass_, 0.0) > 0) { throw InputError("mass: every value must be greater than 0, got 0"); }
-    }
+        : Cloneable(model->n(), size_t{3} * 6, true), mass_(gains.numbers(6, "mass")), damping_(gains.numbers(6, "damping")),
+          stiffness_(gains.numbers(6, "stiffness")), bandwidth_(gains.number("bandwidth")), dt_(gains.number("dt")),
+          task_(model, task_rows(model->n())) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const Vector v_ref = setpoint.v_tick;

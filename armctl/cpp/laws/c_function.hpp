@@ -2,7 +2,6 @@
 #pragma once
 #include <array>
 
-#include "../errors.hpp"
 #include "../law.hpp"
 
 namespace armctl {
@@ -14,13 +13,10 @@ using LawFunction = void (*)(const double* parameters, const double* q, const do
 
 class CFunctionLaw final : public Cloneable<CFunctionLaw> {
 public:
-    // Throws InputError if there is no function or no joint.
-    CFunctionLaw(LawFunction function, size_t n, Vector parameters, size_t memory_size, bool needs_wrench)
-        : Cloneable(n, memory_size, needs_wrench), function_(function), parameters_(parameters.begin(), parameters.end()),
-          reference_(5, n) {
-        if (function_ == nullptr) { throw InputError("address: need that of a function, got 0"); }
-        if (n == 0) { throw InputError("n: need at least one joint"); }
-    }
+    // From the address of a function, which has to exist as long as the law.
+    CFunctionLaw(std::uintptr_t address, const Arguments& gains)
+        : Cloneable(gains.count("n"), gains.count("memory_size"), gains.flag("needs_wrench")),
+          function_(reinterpret_cast<LawFunction>(address)), parameters_(gains.numbers(gains.length("parameters"), "parameters")) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const std::array<Vector, 5> rows{setpoint.q, setpoint.v, setpoint.a, setpoint.v_tick, setpoint.a_tick};
@@ -34,7 +30,7 @@ public:
 private:
     LawFunction function_;
     Numbers parameters_;
-    DenseMatrix reference_;  // (5, n)
+    DenseMatrix reference_{5, joints()};
 };
 
 }  // namespace armctl

@@ -15,9 +15,9 @@ namespace armctl {
 class ComputedTorqueLearning final : public Cloneable<ComputedTorqueLearning, ComputedTorqueObserver> {
 public:
     ComputedTorqueLearning(const Model& model, const Arguments& gains)
-        : Cloneable(model, gains, memory_size(model->n())), filter_weight_(gains.gain("filter_weight")),
-          information_weight_(gains.gain("information_weight")), forgetting_(gains.gain("forgetting")),
-          torque_precision_(gains.gains(joints(), "torque_precision")), prior_deviations_(gains.gains(p_, "prior_deviations")) {}
+        : Cloneable(model, gains, memory_size(model->n())), filter_weight_(gains.number("filter_weight")),
+          information_weight_(gains.number("information_weight")), forgetting_(gains.number("forgetting")),
+          torque_precision_(gains.numbers(joints(), "torque_precision")), prior_deviations_(gains.numbers(p_, "prior_deviations")) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         Memory memory = memory_parts();
@@ -42,16 +42,25 @@ private:
 
     // What belongs to the last tick, and to the estimator, which sees regressors and torques through two low-passes.
     struct Memory {
-        Result estimate;                                  // (p,)
-        std::array<MatrixResult, 2> filtered_regressors;  // (n, p) behind each low-pass
-        std::array<Result, 2> filtered_torques;           // (n,) behind each low-pass
-        MatrixResult information;                         // (p, p)
-        Result information_vector;                        // (p,)
-        MatrixResult regressor;                           // (n, p) torques per unknown
-        Result fed_forward;                               // (n,) N m
-        Result needed;                                    // (n,) N m, that the model needs for the reference
-        Result last_rate;                                 // (n,) N m/s, of the torque that the reference needs
-        double& reference_moved;
+        double* next;  // part of the memory
+        size_t n;
+        size_t p;
+        Result estimate = vector(p);
+        std::array<MatrixResult, 2> filtered_regressors = {matrix(n), matrix(n)};  // behind each low-pass
+        std::array<Result, 2> filtered_torques = {vector(n), vector(n)};           // behind each low-pass
+        MatrixResult information = matrix(p);
+        Result information_vector = vector(p);
+        MatrixResult regressor = matrix(n);  // torques per unknown
+        Result fed_forward = vector(n);      // N m
+        Result needed = vector(n);           // N m, that the model needs for the reference
+        Result last_rate = vector(n);        // N m/s, of the torque that the reference needs
+        double& reference_moved = vector(1)[0];
+
+        Result vector(size_t size) {
+            next += size;
+            return {next - size, size};
+        }
+        MatrixResult matrix(size_t rows) { return {vector(rows * p).data(), rows, p}; }
     };
 
     static size_t unknown_count(size_t n) { return first_friction_unknown + n; }
@@ -61,28 +70,7 @@ private:
         return p + 3 * n * p + p * p + p + 5 * n + 1;
     }
 
-    Memory memory_parts() {
-        const size_t n = joints();
-        Result rest = further_memory();
-        const auto vector = [&rest](size_t size) {
-            const Result part = rest.first(size);
-            rest = rest.subspan(size);
-            return part;
-        };
-        const auto matrix = [&vector](size_t rows, size_t columns) { return MatrixResult{vector(rows * columns).data(), rows, columns}; };
-        return {
-            .estimate = vector(p_),
-            .filtered_regressors = {matrix(n, p_), matrix(n, p_)},
-            .filtered_torques = {vector(n), vector(n)},
-            .information = matrix(p_, p_),
-            .information_vector = vector(p_),
-            .regressor = matrix(n, p_),
-            .fed_forward = vector(n),
-            .needed = vector(n),
-            .last_rate = vector(n),
-            .reference_moved = vector(1)[0],
-        };
-    }
+    Memory memory_parts() { return {.next = own_memory().data(), .n = joints(), .p = p_}; }
 
     // Updates the estimate with the torque that the motors gave beyond the model's. The observer's estimate changes by the opposite
     // torque: the sum does not jump.
@@ -152,7 +140,7 @@ private:
         dynamics_.inverse_dynamics(setpoint.q, setpoint.v_tick, setpoint.a_tick, memory.needed);
         for (size_t i = 0; i < joints(); ++i) {
             rate_[i] += dot(memory.regressor.row(i), payload, memory.needed[i]);
-            rate_[i] = is_first || weights_.dt == 0.0 ? 0.0 : rate_[i] / weights_.dt;
+            rate_[i] = is_first || dt_ == 0.0 ? 0.0 : rate_[i] / dt_;
         }
     }
 
@@ -164,8 +152,8 @@ private:
             Y(i, delay_unknown) = rate_[i];
             Y(i, first_friction_unknown + i) = v_ref[i] / (std::abs(v_ref[i]) + friction_speed);
             memory.fed_forward[i] = dot(Y.row(i), memory.estimate);
-            if (weights_.dt != 0.0) {  // what is fed forward against the delay is late, too
-                Y(i, delay_unknown) += memory.estimate[delay_unknown] * (rate_[i] - memory.last_rate[i]) / weights_.dt;
+            if (dt_ != 0.0) {  // what is fed forward against the delay is late, too
+                Y(i, delay_unknown) += memory.estimate[delay_unknown] * (rate_[i] - memory.last_rate[i]) / dt_;
             }
             memory.last_rate[i] = rate_[i];
             moves = moves || v_ref[i] != 0.0;

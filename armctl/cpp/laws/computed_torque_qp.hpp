@@ -13,15 +13,13 @@ namespace armctl {
 // in which rotations weigh less than translations, and the joints decide what the tip leaves open. If the limits contradict
 // each other, the torque limits hold and the violation of the others is minimal. If that is impossible too, because other
 // limits, which a_desired respects, contradict the torque limits, the torque of a_desired is clipped.
-class ComputedTorqueQP : public Cloneable<ComputedTorqueQP> {
+class ComputedTorqueQP : public Cloneable<ComputedTorqueQP, ComputedTorque> {
 public:
     // The gains are those of ComputedTorque and the members below. `q_min` and `q_max` may be infinite.
     ComputedTorqueQP(const Model& model, const Arguments& gains, size_t memory_size = 0)
-        : Cloneable(model->n(), memory_size), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
-          q_min_(positions(gains, "q_min")), q_max_(positions(gains, "q_max")), v_max_(gains.limits(joints(), "v_max")),
-          a_max_(gains.limits(joints(), "a_max")), tau_max_(gains.limits(joints(), "torque_limit")), length_(gains.gain("length")),
-          dt_(gains.gain("dt")), mean_share_(gains.flag("continuous") ? 0.5 : 0.0), unlimited_(model, gains), dynamics_(at_start(*model)),
-          solver_(joints()) {}
+        : Cloneable(model, gains, memory_size), q_min_(gains.numbers(joints(), "q_min")), q_max_(gains.numbers(joints(), "q_max")),
+          v_max_(gains.numbers(joints(), "v_max")), a_max_(gains.numbers(joints(), "a_max")), length_(gains.number("length")),
+          mean_share_(gains.flag("continuous") ? 0.5 : 0.0), start_(at_start(*model)), solver_(joints()) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         is_limited_ = make_program(state, setpoint, tau);
@@ -31,13 +29,12 @@ public:
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = clipped(dot(M_.row(i), deviation_, tau[i]), tau_max_[i]); }
     }
 
-    // The program of the last tick, if the torque was limited: minimize x H x / 2 subject to lower <= (x, M x) <= upper.
+    // The program of the last tick, with f = 0; M is the inertia of one control period, so the torque of a deviation x is M x.
+    QuadraticProgram program() const { return {.H = H_, .f = relaxed_cost_, .M = M_, .lower = lower_, .upper = upper_}; }
+
+    // Whether the torque was limited, and the torque without limits, (n,) N m.
     bool is_limited() const { return is_limited_; }
-    Vector H() const { return H_.numbers(); }  // (n, n)
-    Vector M() const { return M_.numbers(); }  // (n, n) inertia of one control period: the torque of a deviation is M x
-    Vector lower() const { return lower_; }    // (2n,) bounds of x and M x
-    Vector upper() const { return upper_; }    // (2n,)
-    Vector torque() const { return torque_; }  // (n,) N m, without limits
+    Vector torque() const { return torque_; }
 
 protected:
     // Changes the desired acceleration and the torque before the limits of this tick; M_ and H_ are those of this tick.
@@ -45,18 +42,13 @@ protected:
 
     DenseMatrix square() const { return {joints(), joints()}; }
 
-    double stiffness_;   // 1/s^2
-    double damping_;     // 1/s
-    Numbers q_min_;      // rad
-    Numbers q_max_;      // rad
-    Numbers v_max_;      // rad/s
-    Numbers a_max_;      // rad/s^2
-    Numbers tau_max_;    // N m
-    double length_;      // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
-    double dt_;          // s; in continuous time, 0, there are only torque limits
-    double mean_share_;  // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
-    ComputedTorque unlimited_;
-    Dynamics dynamics_;          // at the start of the control period
+    Numbers q_min_;              // rad
+    Numbers q_max_;              // rad
+    Numbers v_max_;              // rad/s
+    Numbers a_max_;              // rad/s^2
+    double length_;              // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
+    double mean_share_;          // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
+    Dynamics start_;             // of the control period
     Numbers desired_ = zeros();  // acceleration
     DenseMatrix J_{6, joints()}, H_ = square(), M_ = square(), factors_ = square();
 
@@ -78,19 +70,14 @@ private:
         return start;
     }
 
-    Numbers positions(const Arguments& gains, const char* name) const {
-        const Vector values = gains.vector(joints(), name);
-        return {values.begin(), values.end()};
-    }
-
     // Computes the torque without limits and the program of one control period; whether the torque exceeds a limit.
     bool make_program(const State& state, const Setpoint& setpoint, Result tau) {
         const Vector a_ref = setpoint.a_tick;
-        unlimited_.torque(state, setpoint, tau);
-        dynamics_.place(state.q);
-        dynamics_.mass_matrix(M_);
-        dynamics_.add_step_inertia(M_);
-        for (size_t i = 0; i < joints(); ++i) { desired_[i] = unlimited_.correction()[i] + a_ref[i]; }
+        ComputedTorque::torque(state, setpoint, tau);
+        start_.place(state.q);
+        start_.mass_matrix(M_);
+        start_.add_step_inertia(M_);
+        for (size_t i = 0; i < joints(); ++i) { desired_[i] = correction_[i] + a_ref[i]; }
         // The tip's law is that of stiffness and damping alone. With the added torques, which are of first order in the errors, the
         // offset would cancel them, by a share that is not linear.
         find_tip_offset(state, setpoint);
@@ -114,9 +101,9 @@ private:
 
     // Acceleration minus gravity plus damping times velocity plus stiffness times position of the tip, in the world.
     Vec3 tip_law(Vector q, Vector v, Vector a) {
-        const Vec3 acceleration = dynamics_.tip_motion(q, v, a).linear;
-        const Pose tip = dynamics_.tip();
-        J_.set(dynamics_.tip_jacobian());
+        const Vec3 acceleration = start_.tip_motion(q, v, a).linear;
+        const Pose tip = start_.tip();
+        J_.set(start_.tip_jacobian());
         Vec3 total = stiffness_ * tip.translation;
         total = total + acceleration.x * tip.rotation.x + acceleration.y * tip.rotation.y + acceleration.z * tip.rotation.z;
         for (size_t i = 0; i < joints(); ++i) {
@@ -126,12 +113,11 @@ private:
     }
 
     void add_acceleration_of_added_torque() {
-        const Vector added_torque = unlimited_.added_torque();
-        if (std::ranges::all_of(added_torque, [](double torque) { return torque == 0.0; })) { return; }
+        if (std::ranges::all_of(added_torque_, [](double torque) { return torque == 0.0; })) { return; }
         factors_ = M_;
         factorize(factors_);
         const Result acceleration = deviation_;  // is not known yet
-        copy(added_torque, acceleration);
+        copy(added_torque_, acceleration);
         solve(factors_, acceleration);
         for (size_t i = 0; i < joints(); ++i) { desired_[i] += acceleration[i]; }
     }
@@ -180,7 +166,7 @@ private:
             const double lowest = -std::min(v_max_[i], stopping_speed(q - q_min_[i], -v, up));
             lower_[i] = -unbounded;
             upper_[i] = unbounded;
-            if (dt_ > 0.0) {
+            if (dt_ > 0.0) {  // in continuous time, there are only torque limits
                 lower_[i] = std::max((lowest - v) / dt_ - desired_[i], -unbounded);
                 upper_[i] = std::min((highest - v) / dt_ - desired_[i], unbounded);
             }
@@ -208,7 +194,7 @@ private:
     // Solves the program. Where limits contradict each other, those of velocity and position become costs.
     void find_deviation() {
         std::ranges::fill(relaxed_cost_, 0.0);
-        if (solver_.solve({.H = H_, .f = relaxed_cost_, .M = M_, .lower = lower_, .upper = upper_}, deviation_)) { return; }
+        if (solver_.solve(program(), deviation_)) { return; }
         relax_bounds();
         const QuadraticProgram relaxed{.H = relaxed_H_, .f = relaxed_cost_, .M = M_, .lower = relaxed_lower_, .upper = relaxed_upper_};
         if (!solver_.solve(relaxed, deviation_)) { std::ranges::fill(deviation_, 0.0); }

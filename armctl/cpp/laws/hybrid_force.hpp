@@ -15,9 +15,9 @@ namespace armctl {
 class HybridForce final : public Cloneable<HybridForce> {
 public:
     HybridForce(const Model& model, const Arguments& gains)
-        : Cloneable(model->n(), 1 + 6 * ForceAxis::memory_size + 6 + model->n(), true), bandwidth_(gains.gain("bandwidth")),
-          damping_ratio_(gains.gain("damping_ratio")), in_tip_frame_(gains.flag("in_tip_frame")),
-          approach_speed_(gains.gain("approach_speed")), contact_force_(gains.gain("contact_force")), dt_(gains.gain("dt")),
+        : Cloneable(model->n(), 1 + 6 * ForceAxis::memory_size + 6 + model->n(), true), bandwidth_(gains.number("bandwidth")),
+          damping_ratio_(gains.number("damping_ratio")), in_tip_frame_(gains.flag("in_tip_frame")),
+          approach_speed_(gains.number("approach_speed")), contact_force_(gains.number("contact_force")), dt_(gains.number("dt")),
           task_(model, task_rows(model->n())) {
         set_axes(gains);
     }

@@ -12,11 +12,12 @@ namespace armctl {
 class Impedance final : public Cloneable<Impedance> {
 public:
     Impedance(const Model& model, const Arguments& gains)
-        : Cloneable(model->n()), stiffness_(gains.gains(6, "stiffness")), max_error_(gains.limits(6, "max_error")),
-          posture_stiffness_(gains.gains(model->n(), "posture_stiffness")), damping_ratio_(gains.gain("damping_ratio")), task_(model, 6) {}
+        : Cloneable(model->n()), stiffness_(gains.numbers(6, "stiffness")), max_error_(gains.numbers(6, "max_error")),
+          posture_stiffness_(gains.numbers(model->n(), "posture_stiffness")), damping_ratio_(gains.number("damping_ratio")),
+          task_(model, 6) {}
 
     // Replaces the stiffness of the tip.
-    void set_stiffness(const Arguments& gains) { stiffness_ = gains.gains(6, "stiffness"); }
+    void set_stiffness(const Arguments& gains) { stiffness_ = gains.numbers(6, "stiffness"); }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const Vector v_ref = setpoint.v_tick;

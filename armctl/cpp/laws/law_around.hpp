@@ -1,5 +1,7 @@
 // A law around another one, whose torques it changes.
 #pragma once
+#include <utility>
+
 #include "../law.hpp"
 
 namespace armctl {
@@ -14,22 +16,24 @@ public:
     }
 
 protected:
-    // `own` numbers of memory come before those of the inner law.
+    // `own` numbers of memory come before those of the inner law, after whether there was a tick.
     LawAround(std::shared_ptr<Law> inner, size_t own)
-        : Law(inner->joints(), own + inner->memory().size(), inner->needs_wrench()), inner_(std::move(inner)), own_(own) {}
+        : Law(inner->joints(), 1 + own + inner->memory().size(), inner->needs_wrench()), inner_(std::move(inner)), own_(own) {}
     LawAround(const LawAround& other) : Law(other), inner_(other.inner_->clone()), own_(other.own_) {}
     LawAround& operator=(const LawAround&) = delete;
 
-    Result own_memory() { return memory(0, own_); }
+    Result own_memory() { return memory(1, own_); }
 
-    void inner_torque(const State& state, const Setpoint& setpoint, Result tau) {
+    // Whether this is the first tick of a run.
+    bool inner_torque(const State& state, const Setpoint& setpoint, Result tau) {
         copy(inner_memory(), inner_->memory());
         inner_->torque(state, setpoint, tau);
         copy(inner_->memory(), inner_memory());
+        return std::exchange(memory()[0], 1.0) == 0.0;
     }
 
 private:
-    Result inner_memory() { return memory().subspan(own_); }
+    Result inner_memory() { return memory().subspan(1 + own_); }
 
     std::shared_ptr<Law> inner_;
     size_t own_;

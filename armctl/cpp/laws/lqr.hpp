@@ -14,8 +14,7 @@ class LQR final : public Cloneable<LQR, ComputedTorque> {
 public:
     // `nodes` (k, n) are configurations, rad, and `feedback` (k, n, 3n) the gains there.
     LQR(const Model& model, const Arguments& gains)
-        : Cloneable(model, gains, EstimateWeights(gains), model->n()), dt_(gains.gain("dt")), nodes_(gains.length("nodes"), joints()),
-          feedback_(nodes_.rows() * joints(), 3 * joints()) {
+        : Cloneable(model, gains, model->n()), nodes_(gains.length("nodes"), joints()), feedback_(nodes_.rows() * joints(), 3 * joints()) {
         nodes_.set(gains.matrix(nodes_.rows(), joints(), "nodes"));
         copy(gains.shaped({nodes_.rows(), joints(), 3 * joints()}, "feedback"), feedback_.numbers());
     }
@@ -24,7 +23,7 @@ public:
         ComputedTorque::torque(state, setpoint, tau);
         // The integral waits while a motor is saturated, since the error is then not one of the model.
         for (size_t i = 0; i < joints(); ++i) {
-            if (std::abs(tau[i]) > torque_limit()[i]) { return; }
+            if (std::abs(tau[i]) > tau_max_[i]) { return; }
         }
         for (size_t i = 0; i < joints(); ++i) { further_memory()[i] += dt_ * growth_[i]; }
     }
@@ -55,7 +54,6 @@ private:
         return found;
     }
 
-    double dt_;                 // s
     DenseMatrix nodes_;         // (k, n) rad
     DenseMatrix feedback_;      // (k n, 3n) 1/s^2, 1/s and 1/s^3
     Numbers growth_ = zeros();  // of the integral's acceleration, rad/s^3

@@ -25,7 +25,7 @@ public:
     // The gains are those of ComputedTorqueQP, `blocks` (k,), the ticks of each block, at least 2, and `torque_rate` (n,) N m/s.
     MPC(const Model& model, const Arguments& gains)
         : Cloneable(model, gains, memory_size(model->n(), gains.length("blocks"))), period_(model),
-          torque_rate_(gains.limits(joints(), "torque_rate")),
+          torque_rate_(gains.numbers(joints(), "torque_rate")),
           ticks_(gains.integers(gains.length("blocks"), "blocks").begin(), gains.integers(gains.length("blocks"), "blocks").end()),
           rates_(std::ranges::any_of(torque_rate_, [](double rate) { return rate < unbounded; }) ? size() : 0),
           solver_(size(), 3 * size() + rates_) {

@@ -10,8 +10,8 @@ namespace armctl {
 class OperationalSpace final : public Cloneable<OperationalSpace> {
 public:
     OperationalSpace(const Model& model, const Arguments& gains)
-        : Cloneable(model->n()), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
-          posture_stiffness_(gains.gain("posture_stiffness")), posture_damping_(gains.gain("posture_damping")), task_(model, 6) {}
+        : Cloneable(model->n()), stiffness_(gains.number("stiffness")), damping_(gains.number("damping")),
+          posture_stiffness_(gains.number("posture_stiffness")), posture_damping_(gains.number("posture_damping")), task_(model, 6) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const Vector v_ref = setpoint.v_tick;

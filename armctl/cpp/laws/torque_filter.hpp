@@ -1,6 +1,5 @@
 // Linear filters of the torques of another law: notches and low-passes.
 #pragma once
-#include "../errors.hpp"
 #include "law_around.hpp"
 
 namespace armctl {
@@ -34,28 +33,25 @@ class TorqueFilter final : public Cloneable<TorqueFilter, LawAround> {
 public:
     // `sections` has rows of b0, b1, b2, a0 = 1, a1, a2, as in SciPy.
     TorqueFilter(const std::shared_ptr<Law>& filtered, const Arguments& gains)
-        : Cloneable(filtered, 1 + 2 * gains.length("sections") * filtered->joints()) {
-        const Matrix sections = gains.matrix(gains.length("sections"), 6, "sections");
-        for (size_t k = 0; k < sections.rows; ++k) {
-            const Vector row = sections.row(k);
-            if (row[3] != 1.0) { throw InputError("sections: a0 must be 1"); }
+        : Cloneable(filtered, 2 * gains.length("sections") * filtered->joints()) {
+        const size_t count = gains.length("sections");
+        for (size_t k = 0; k < count; ++k) {
+            const Vector row = gains.matrix(count, 6, "sections").row(k);
             sections_.push_back({.b0 = row[0], .b1 = row[1], .b2 = row[2], .a1 = row[4], .a2 = row[5]});
         }
     }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
-        inner_torque(state, setpoint, tau);
-        double& has_begun = own_memory()[0];
-        Result states = own_memory().subspan(1);
+        const bool is_first = inner_torque(state, setpoint, tau);
+        Result states = own_memory();
         for (const Biquad& section : sections_) {
             for (double& torque : tau) {
                 const Result own = states.first(2);
-                if (has_begun == 0.0) { section.settle(torque, own); }
+                if (is_first) { section.settle(torque, own); }
                 torque = section.output(torque, own);
                 states = states.subspan(2);
             }
         }
-        has_begun = 1.0;
     }
 
 private:

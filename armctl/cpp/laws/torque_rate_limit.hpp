@@ -8,20 +8,18 @@ namespace armctl {
 class TorqueRateLimit final : public Cloneable<TorqueRateLimit, LawAround> {
 public:
     TorqueRateLimit(const std::shared_ptr<Law>& limited, const Arguments& gains)
-        : Cloneable(limited, 1 + limited->joints()), max_change_(gains.limits(joints(), "tau_rate_max")) {
-        const double dt = gains.gain("dt");
+        : Cloneable(limited, limited->joints()), max_change_(gains.numbers(joints(), "tau_rate_max")) {
+        const double dt = gains.number("dt");
         for (double& change : max_change_) { change *= dt; }
     }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
-        inner_torque(state, setpoint, tau);
-        double& has_last_torque = own_memory()[0];
-        const Result last = own_memory().subspan(1);
+        const bool is_first = inner_torque(state, setpoint, tau);
+        const Result last = own_memory();
         for (size_t i = 0; i < tau.size(); ++i) {
-            if (has_last_torque != 0.0) { tau[i] = std::clamp(tau[i], last[i] - max_change_[i], last[i] + max_change_[i]); }
+            if (!is_first) { tau[i] = std::clamp(tau[i], last[i] - max_change_[i], last[i] + max_change_[i]); }
             last[i] = tau[i];
         }
-        has_last_torque = 1.0;
     }
 
 private:

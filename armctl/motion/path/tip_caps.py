@@ -82,7 +82,7 @@ class TipCaps:
     def _twists(self, q: Array, v: Array) -> Array:
         """(T, 6) linear and angular speed of the tip."""
         twists = np.empty((len(q), 6))
-        _core.tip_twists_along(self.arm.core_model, np.ascontiguousarray(q), np.ascontiguousarray(v), twists)
+        _core.tip_twists(self.arm.core_model, np.ascontiguousarray(q), np.ascontiguousarray(v), twists)
         return twists
 
     def kept(self, motion: JointTrajectory) -> JointTrajectory:
