@@ -57,7 +57,7 @@ class CollisionScene {
 public:
     explicit CollisionScene(std::shared_ptr<const CollisionModel> model)
         : model_(std::move(model)), memory_(model_->pairs.size()), last_hit_(model_->pairs.size()), frames_(model_->frames.size()),
-          spheres_(model_->spheres.size()), motions_(model_->spheres.size() * model_->depth),
+          centers_(model_->geoms.size()), motions_(model_->geoms.size(), model_->frames.size()),
           near_gradients_(model_->pairs.size() * model_->joints()) {}
 
     const CollisionModel& model() const { return *model_; }
@@ -73,10 +73,7 @@ public:
     // Places all frames and bounding spheres at the positions of all joints, (m,) rad.
     void place(Vector positions) {
         place_frames(positions);
-        for (size_t i = 0; i < spheres_.size(); ++i) {
-            spheres_[i].center = frames_[model_->sphere_frames[i]].pose * model_->spheres[i].center;
-            spheres_[i].has_motion = false;
-        }
+        for (size_t g = 0; g < centers_.size(); ++g) { centers_[g] = frames_[model_->geoms[g].frame].pose * model_->geoms[g].center; }
     }
 
     void place_frames(Vector positions) {
@@ -101,13 +98,10 @@ public:
     size_t first_hit(Vector positions, double clearance) {
         place(positions);
         if (last_hit_ != no_pair() && touches(last_hit_, clearance)) { return last_hit_; }
-        for (const GroupPair& group : model_->groups) {
-            if (gap(group.a, group.b) > clearance) { continue; }
-            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-                if (touches(p, clearance)) {
-                    expect_hit(p);
-                    return p;
-                }
+        for (size_t p = 0; p < no_pair(); ++p) {
+            if (touches(p, clearance)) {
+                expect_hit(p);
+                return p;
             }
         }
         return no_pair();
@@ -118,23 +112,17 @@ public:
     // Marks every such pair, (K,). Places the joints.
     void all_hits(Vector positions, double clearance, std::span<std::int64_t> hits) {
         place(positions);
-        for (const GroupPair& group : model_->groups) {
-            const bool is_far = gap(group.a, group.b) > clearance;
-            for (size_t p = group.first_pair; p < group.last_pair; ++p) { hits[p] = !is_far && touches(p, clearance); }
-        }
+        for (size_t p = 0; p < no_pair(); ++p) { hits[p] = touches(p, clearance); }
     }
 
     // The pair that is nearest to touching; a distance at or below zero says that it overlaps. Places the joints.
     PairDistance nearest_pair(Vector positions) {
         place(positions);
         PairDistance nearest{no_pair(), INFINITE_M};
-        for (const GroupPair& group : model_->groups) {
-            if (gap(group.a, group.b) > nearest.distance) { continue; }
-            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-                if (gap(model_->pairs[p].a, model_->pairs[p].b) > nearest.distance) { continue; }
-                const double upper = distance(p, {.enough = nearest.distance, .touching = -INFINITE_M, .is_exact = true}).upper;
-                if (upper < nearest.distance) { nearest = {p, upper}; }
-            }
+        for (size_t p = 0; p < no_pair(); ++p) {
+            if (gap(p) > nearest.distance) { continue; }
+            const double upper = distance(p, {.enough = nearest.distance, .touching = -INFINITE_M, .is_exact = true}).upper;
+            if (upper < nearest.distance) { nearest = {p, upper}; }
         }
         return nearest;
     }
@@ -150,24 +138,19 @@ public:
     void find_near_pairs(Vector positions, Vector delta, double share, Vector clearances) {
         near_pairs_.clear();
         place(positions);
+        bound_motions(delta);
         const size_t joints = model_->joints();
-        for (const GroupPair& group : model_->groups) {
-            const double group_motion = relative_motion(group.a, group.b, group.common, delta);
-            const double group_gap = gap(group.a, group.b);
-            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-                if (share * (group_gap - clearances[p]) >= group_motion) { continue; }
-                const CollisionPair& pair = model_->pairs[p];
-                const double pair_motion = relative_motion(pair.a, pair.b, pair.common, delta);
-                if (share * (gap(pair.a, pair.b) - clearances[p]) >= pair_motion) { continue; }
-                const double enough = clearances[p] + pair_motion / share;
-                if (distance(p, {.enough = enough, .touching = -INFINITE_M}).lower >= enough) { continue; }
-                const Witness nearest = witness(p);
-                const Result gradient(near_gradients_.data() + near_pairs_.size() * joints, joints);
-                write_distance_gradient(p, nearest, gradient);
-                double approach = 0.0;
-                for (size_t j = 0; j < joints; ++j) { approach += std::abs(gradient[j]) * delta[j]; }
-                if (share * (nearest.distance - clearances[p]) < approach) { near_pairs_.push_back({p, nearest.distance}); }
-            }
+        for (size_t p = 0; p < no_pair(); ++p) {
+            const double pair_motion = relative_motion(p);
+            if (share * (gap(p) - clearances[p]) >= pair_motion) { continue; }
+            const double enough = clearances[p] + pair_motion / share;
+            if (distance(p, {.enough = enough, .touching = -INFINITE_M}).lower >= enough) { continue; }
+            const Witness nearest = witness(p);
+            const Result gradient(near_gradients_.data() + near_pairs_.size() * joints, joints);
+            write_distance_gradient(p, nearest, gradient);
+            double approach = 0.0;
+            for (size_t j = 0; j < joints; ++j) { approach += std::abs(gradient[j]) * delta[j]; }
+            if (share * (nearest.distance - clearances[p]) < approach) { near_pairs_.push_back({p, nearest.distance}); }
         }
     }
 
@@ -180,7 +163,7 @@ public:
 
     // Whether a pair is not farther apart than the clearance.
     bool touches(size_t p, double clearance) {
-        if (gap(model_->pairs[p].a, model_->pairs[p].b) > clearance) { return false; }
+        if (gap(p) > clearance) { return false; }
         return distance(p, {.enough = clearance + STRICTLY_M, .touching = clearance}).lower <= clearance;
     }
 
@@ -214,30 +197,49 @@ public:
         return bounds;
     }
 
-    // A lower bound of the distance of two bounding spheres, of geoms or of groups; of a box or a plane and a sphere.
-    double gap(size_t a, size_t b) const {
-        const Vec3 center = spheres_[b].center;
-        const double radius = model_->spheres[b].radius;
-        if (a < model_->geoms.size()) {
-            const Geom& first = model_->geoms[a];
-            if (first.kind == ShapeKind::plane) { return dot(first.normal(), center) - first.offset - radius; }
-            if (first.kind == ShapeKind::box && first.frame == 0) {
-                const Vec3 inside = first.axes.inverse_times(center - first.position);
-                const Vec3 outside = {std::max(std::abs(inside.x) - first.size.x, 0.0), std::max(std::abs(inside.y) - first.size.y, 0.0),
-                                      std::max(std::abs(inside.z) - first.size.z, 0.0)};
-                return norm(outside) - radius;
-            }
+    // A lower bound of the distance of a pair: of two bounding spheres, or of a box or a plane and a sphere.
+    double gap(size_t p) const {
+        const CollisionPair& pair = model_->pairs[p];
+        const Geom& first = model_->geoms[pair.a];
+        const Vec3 center = centers_[pair.b];
+        const double radius = model_->geoms[pair.b].radius;
+        if (first.kind == ShapeKind::plane) { return dot(first.normal(), center) - first.offset - radius; }
+        if (first.kind == ShapeKind::box && first.frame == 0) {
+            const Vec3 inside = first.axes.inverse_times(center - first.position);
+            const Vec3 outside = {std::max(std::abs(inside.x) - first.size.x, 0.0), std::max(std::abs(inside.y) - first.size.y, 0.0),
+                                  std::max(std::abs(inside.z) - first.size.z, 0.0)};
+            return norm(outside) - radius;
         }
-        return norm(spheres_[a].center - center) - model_->spheres[a].radius - radius;
+        return norm(centers_[pair.a] - center) - first.radius - radius;
     }
 
-    // Bounds how far any point of one geom or group moves as the other sees it, while joint j moves by at most delta[j].
-    double relative_motion(size_t a, size_t b, size_t common, Vector delta) {
-        for (const size_t sphere : {b, a}) {
-            if (!spheres_[sphere].has_motion) { bound_motions(sphere, delta); }
+    // Bounds how far any point of each geom moves as the frames above it see it, while joint j moves by at most delta[j].
+    //
+    // Change the joints from the base outward: joint j then turns the geom about its axis at the center of the interval, and a
+    // point at the distance r from the axis moves by at most delta[j] r.
+    void bound_motions(Vector delta) {
+        for (size_t geom = 0; geom < centers_.size(); ++geom) {
+            double total = 0.0;
+            size_t walk = model_->geoms[geom].frame;
+            for (; walk > 0; walk = model_->frames[walk].parent) {
+                motions_(geom, walk) = total;
+                const MovingFrame& moving = model_->frames[walk];
+                const double step = delta[moving.joint];
+                if (moving.slides) {
+                    total += step;
+                } else if (step > 0.0) {
+                    const Vec3 lever = cross(centers_[geom] - frames_[walk].anchor, frames_[walk].axis);
+                    total += step * (norm(lever) + model_->geoms[geom].radius);
+                }
+            }
+            motions_(geom, 0) = total;
         }
-        const size_t common_depth = model_->frames[common].depth;
-        return motion(a, common_depth) + motion(b, common_depth);
+    }
+
+    // The bounded motion of any point of one geom of a pair as the other sees it.
+    double relative_motion(size_t p) const {
+        const CollisionPair& pair = model_->pairs[p];
+        return motions_(pair.a, pair.common) + motions_(pair.b, pair.common);
     }
 
     // Bounds it along the direction that separates a pair.
@@ -275,11 +277,6 @@ private:
         size_t vertex_b = Vertices::NONE;
     };
 
-    struct PlacedSphere {
-        Vec3 center;
-        bool has_motion = false;
-    };
-
     // The nearest points of a pair, or points at the same distance along the direction from the first to the second.
     struct Witness {
         double distance;
@@ -293,7 +290,7 @@ private:
         const Vec3 last = memory_[p].direction;
         if (dot(last, last) > NO_DIRECTION_M2) { return last; }
         const CollisionPair& pair = model_->pairs[p];
-        const Vec3 between = spheres_[pair.a].center - spheres_[pair.b].center;
+        const Vec3 between = centers_[pair.a] - centers_[pair.b];
         if (dot(between, between) < NO_DIRECTION_M2) { return {1.0, 0.0, 0.0}; }
         return frames_[model_->geoms[pair.a].frame].pose.rotation.inverse_times(between);
     }
@@ -342,35 +339,11 @@ private:
         return height - plane.offset - other.inflation;
     }
 
-    // Change the joints from the base outward: joint j then turns the geom about its axis at the center of the interval, and a
-    // point at the distance r from the axis moves by at most delta[j] r.
-    void bound_motions(size_t sphere, Vector delta) {
-        PlacedSphere& placed = spheres_[sphere];
-        placed.has_motion = true;
-        const double radius = model_->spheres[sphere].radius;
-        double total = 0.0;
-        size_t walk = model_->sphere_frames[sphere];
-        while (walk > 0) {
-            const MovingFrame& moving = model_->frames[walk];
-            motion(sphere, moving.depth) = total;
-            const double step = delta[moving.joint];
-            if (moving.slides) {
-                total += step;
-            } else if (step > 0.0) {
-                const Vec3 lever = cross(placed.center - frames_[walk].anchor, frames_[walk].axis);
-                total += step * (norm(lever) + radius);
-            }
-            walk = moving.parent;
-        }
-        motion(sphere, 0) = total;
-    }
-
-    double& motion(size_t sphere, size_t depth) { return motions_[sphere * model_->depth + depth]; }
     // To first order, and a remainder: joint j moves a point x along n by at most delta r, and by
     // delta |n . (w x (x - o))| + delta r (turns before it + delta / 2): the turns of the joints nearer to the base tilt the
     // direction, and the arc leaves its tangent.
     double motion_along(size_t geom, size_t common, Vec3 normal, Vector delta) const {
-        const double radius = model_->spheres[geom].radius;
+        const double radius = model_->geoms[geom].radius;
         // Of the hinges nearer to the base than the joint in hand; the walk goes from the geom to the base.
         double turns = 0.0;
         for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
@@ -388,7 +361,7 @@ private:
                 continue;
             }
             turns -= step;
-            const Vec3 velocity = cross(axis, spheres_[geom].center - frames_[walk].anchor);
+            const Vec3 velocity = cross(axis, centers_[geom] - frames_[walk].anchor);
             const double reach = norm(velocity) + radius;
             const double tangential = std::abs(dot(normal, velocity)) + radius * std::sqrt(std::max(0.0, 1.0 - along_axis * along_axis));
             total += step * std::min(reach, tangential + reach * (turns + 0.5 * step));
@@ -496,8 +469,8 @@ private:
     std::vector<PairMemory> memory_;
     size_t last_hit_ = 0;
     std::vector<PlacedFrame> frames_;
-    std::vector<PlacedSphere> spheres_;
-    std::vector<double> motions_;  // of each sphere, relative to its ancestor of each depth
+    std::vector<Vec3> centers_;  // of the bounding spheres of the geoms
+    DenseMatrix motions_;        // of each geom, as each frame above it sees it
     std::vector<PairDistance> near_pairs_;
     std::vector<double> near_gradients_;
 };

@@ -18,7 +18,9 @@ struct Geom {
     double inflation = 0.0;  // m
     Vec3 position;
     Rotation axes;
-    Vec3 size;  // half sizes of a box or an ellipsoid; radius and half length of a cylinder
+    Vec3 size;    // half sizes of a box or an ellipsoid; radius and half length of a cylinder
+    Vec3 center;  // of a sphere around it
+    double radius = 0.0;
     // Of a hull and a box.
     size_t first_vertex = 0;
     size_t last_vertex = 0;
@@ -85,10 +87,5 @@ inline Vec3 round_support_point(const Geom& geom, Vec3 direction) {
     const double scale = length > MIN_LENGTH_M ? 1.0 / length : 0.0;
     return geom.position + scale * (geom.semi_axes * on_unit_sphere);
 }
-
-struct BoundingSphere {
-    Vec3 center;
-    double radius = 0.0;
-};
 
 }  // namespace armctl
