@@ -327,11 +327,9 @@ class EnvironmentRows:
 class AxesRelation(enum.IntEnum):
     """How the axes of some joints are related."""
 
-    NEITHER = 0
+    MEET = 0
 
-    MEET = 1
-
-    PARALLEL = 2
+    PARALLEL = 1
 
 class Constraint(enum.Enum):
     """
@@ -525,7 +523,7 @@ class IkErrorModel:
 
 class ClosedForm:
     """
-    The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.
+    The closed form of six hinges; armctl/cpp/closed_form.hpp explains it. Immutable.
     """
 
     def __init__(self, chain: Chain, **arguments) -> None:

@@ -130,7 +130,6 @@ void branches_of(const Chain& chain, const In& q, const IntegersOut& branches) {
 
 void bind_chain(nb::module_& module) {
     nb::enum_<AxesRelation>(module, "AxesRelation", nb::is_arithmetic(), "How the axes of some joints are related.")
-        .value("NEITHER", AxesRelation::neither)
         .value("MEET", AxesRelation::meet)
         .value("PARALLEL", AxesRelation::parallel);
     nb::enum_<Constraint>(module, "Constraint", "Which parts of the tip's pose are constrained; FREE_X leaves the turn about x free.")
@@ -257,8 +256,7 @@ void bind_ik(nb::module_& module) {
         .def("linearize", &linearize, "target"_a, "constraint"_a, "position_priority"_a, "q"_a, "hessian"_a, "gradient"_a, "J"_a,
              "Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach\n"
              "counts like a rad. Returns the norm of the error.");
-    nb::class_<ClosedForm>(module, "ClosedForm",
-                           "The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.")
+    nb::class_<ClosedForm>(module, "ClosedForm", "The closed form of six hinges; armctl/cpp/closed_form.hpp explains it. Immutable.")
         .def(nb::new_(&make_closed_form), "chain"_a, "arguments"_a,
              "From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.")
         .def("solve_all", &solve_with_closed_form, "target"_a, "q0"_a, "position_tolerance"_a, "orientation_tolerance"_a, "slack"_a,
