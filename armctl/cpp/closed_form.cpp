@@ -49,6 +49,7 @@ struct Configurations {
     void add(const std::array<double, JOINTS>& configuration) { angles[count++] = configuration; }
 };
 
+using PairAngles = Configurations<2, 2>;
 using LoopAngles = Configurations<3, 4>;     // of the three joints that are found first, in the order of the loop
 using SpecialAngles = Configurations<3, 2>;  // of the three special joints
 using SixAngles = Configurations<6, MAX_CONFIGURATIONS>;
@@ -92,6 +93,35 @@ Angle angle_between(Vec3 axis, Vec3 a, Vec3 b, double preferred) {
     return {std::atan2(dot(axis, cross(u, v)), dot(u, v)), false};
 }
 
+// E_1 E_2 x = goal, for two lines that meet or are parallel. Where all angles are solutions, they are the preferred ones.
+PairAngles pair_angles(const Line& first, const Line& second, AxesRelation relation, Vec3 x, Vec3 goal, double slack,
+                       std::array<double, 2> preferred) {
+    const auto& [f1, p1] = first;
+    const auto& [f2, p2] = second;
+    const bool is_parallel = relation == AxesRelation::parallel;
+    // Where the axes are parallel, the heights along them remain; where they meet, the distance from their point.
+    const Vec3 r = is_parallel ? across(f1, x - p2) : x - p2;
+    const Vec3 end = is_parallel ? across(f1, goal - p1) : goal - p1;
+    const Vec3 w = across(f1, p2 - p1);
+    Roots angles2;
+    if (is_parallel) {
+        const double square = 0.5 * (dot(end, end) - dot(w, w) - dot(r, r));
+        angles2 = linear_roots(dot(w, r), dot(w, cross(f2, r)), square, slack, preferred[1]);
+    } else {
+        const double height = dot(f1, end) - dot(f1, f2) * dot(f2, r);
+        angles2 = linear_roots(dot(f1, across(f2, r)), dot(f1, cross(f2, r)), height, slack, preferred[1]);
+    }
+    PairAngles pair{.doubtful = angles2.doubtful};
+    for (size_t k = 0; k < angles2.count; ++k) {
+        const Turn turn(angles2.angles[k]);
+        const Vec3 arm = is_parallel ? w + turned(f2, turn, r) : moved(second, turn, x) - p1;
+        const Angle angle1 = angle_between(f1, arm, end, preferred[0]);
+        pair.doubtful = pair.doubtful || angle1.undetermined;
+        pair.add({angle1.value, angles2.angles[k]});
+    }
+    return pair;
+}
+
 // E_1 E_2 E_3 start = goal, for three lines of which the first two are related.
 struct PointEquation {
     std::array<Line, 3> lines;
@@ -102,61 +132,32 @@ struct PointEquation {
     Triple preferred;
 
     LoopAngles solve() const;
-
-private:
-    Roots last_angles(Vec3 centre, Vec3 u, Vec3 v) const;
-    Roots middle_angles(Vec3 x) const;
 };
 
-// Angle 3, where axes 2 and 1 can turn the point to the goal. Axis 3 moves the point on a circle: centre + u cos t + v sin t.
-Roots PointEquation::last_angles(Vec3 centre, Vec3 u, Vec3 v) const {
+LoopAngles PointEquation::solve() const {
     const auto& [f1, p1] = lines[0];
-    const Vec3 to_goal = goal - p1;
+    const auto& [f3, p3] = lines[2];
+    // Axis 3 moves the point on a circle, centre + u cos t + v sin t, to where axes 2 and 1 can turn it to the goal.
+    const Vec3 centre = p3 + dot(f3, start - p3) * f3;
+    const Vec3 u = start - centre;
+    const Vec3 v = cross(f3, u);
+    Roots last;
     if (relation == AxesRelation::meet) {
+        const Vec3 to_goal = goal - p1;
         const Vec3 out = centre - p1;
         const double square = 0.5 * (dot(to_goal, to_goal) - dot(out, out) - dot(u, u));
-        return linear_roots(dot(out, u), dot(out, v), square, slack, preferred[2]);
+        last = linear_roots(dot(out, u), dot(out, v), square, slack, preferred[2]);
+    } else {
+        const double height = dot(f1, goal) - dot(f1, centre);
+        last = linear_roots(dot(f1, u), dot(f1, v), height, slack, preferred[2]);
     }
-    const double height = dot(f1, goal) - dot(f1, centre);
-    return linear_roots(dot(f1, u), dot(f1, v), height, slack, preferred[2]);
-}
-
-// Angle 2, which turns the point x to where axis 1 can turn it to the goal.
-Roots PointEquation::middle_angles(Vec3 x) const {
-    const auto& [f1, p1] = lines[0];
-    const auto& [f2, p2] = lines[1];
-    const Vec3 to_goal = goal - p1;
-    const Vec3 r = x - p2;
-    if (relation == AxesRelation::meet) {
-        const double height = dot(f1, to_goal) - dot(f1, f2) * dot(f2, r);
-        return linear_roots(dot(f1, across(f2, r)), dot(f1, cross(f2, r)), height, slack, preferred[1]);
-    }
-    const Vec3 w = across(f1, p2 - p1);
-    const Vec3 arm = across(f1, r);
-    const Vec3 end = across(f1, to_goal);
-    const double square = 0.5 * (dot(end, end) - dot(w, w) - dot(arm, arm));
-    return linear_roots(dot(w, arm), dot(w, cross(f2, arm)), square, slack, preferred[1]);
-}
-
-LoopAngles PointEquation::solve() const {
-    const Line& third = lines[2];
-    const Vec3 centre = third.point + dot(third.axis, start - third.point) * third.axis;
-    const Vec3 u = start - centre;
-    const Vec3 v = cross(third.axis, u);
-    const Roots last = last_angles(centre, u, v);
-    LoopAngles loop;
-    loop.doubtful = last.doubtful;
+    LoopAngles loop{.doubtful = last.doubtful};
     for (size_t i = 0; i < last.count; ++i) {
         const Turn turn(last.angles[i]);
         const Vec3 x = centre + (turn.cos * u + turn.sin * v);
-        const Roots middle = middle_angles(x);
-        loop.doubtful = loop.doubtful || middle.doubtful;
-        for (size_t k = 0; k < middle.count; ++k) {
-            const Vec3 y = moved(lines[1], Turn(middle.angles[k]), x);
-            const Angle angle = angle_between(lines[0].axis, y - lines[0].point, goal - lines[0].point, preferred[0]);
-            loop.doubtful = loop.doubtful || angle.undetermined;
-            loop.add({angle.value, middle.angles[k], last.angles[i]});
-        }
+        const PairAngles pair = pair_angles(lines[0], lines[1], relation, x, goal, slack, {preferred[0], preferred[1]});
+        loop.doubtful = loop.doubtful || pair.doubtful;
+        for (size_t k = 0; k < pair.count; ++k) { loop.add({pair.angles[k][0], pair.angles[k][1], last.angles[i]}); }
     }
     return loop;
 }
@@ -221,20 +222,16 @@ LoopAngles PlaneEquation::solve() const {
 
 // The special joints whose axes meet, from where E_a E_b E_c brings the axes b and c.
 SpecialAngles meeting_angles(std::span<const Line, 3> lines, Vec3 moved_b, Vec3 moved_c, const Triple& preferred, double slack) {
-    const Vec3 a = lines[0].axis;
-    const Vec3 b = lines[1].axis;
+    const Line a{lines[0].axis, {}};
+    const Line b{lines[1].axis, {}};
     const Vec3 c = lines[2].axis;
-    const double height = dot(a, moved_c) - dot(a, b) * dot(b, c);
-    const Roots middle = linear_roots(dot(a, across(b, c)), dot(a, cross(b, c)), height, slack, preferred[1]);
-    SpecialAngles special{.doubtful = middle.doubtful};
-    for (size_t k = 0; k < middle.count; ++k) {
-        const Turn turn(middle.angles[k]);
-        const Angle first = angle_between(a, turned(b, turn, c), moved_c, preferred[0]);
-        special.doubtful = special.doubtful || first.undetermined;
-        const Vec3 back = turned(b, turn.back(), turned(a, Turn(first.value).back(), moved_b));
+    const PairAngles pair = pair_angles(a, b, AxesRelation::meet, c, moved_c, slack, {preferred[0], preferred[1]});
+    SpecialAngles special{.doubtful = pair.doubtful};
+    for (size_t k = 0; k < pair.count; ++k) {
+        const auto [first, middle] = pair.angles[k];
+        const Vec3 back = turned(b.axis, Turn(middle).back(), turned(a.axis, Turn(first).back(), moved_b));
         // Where the third angle is undetermined, the middle one is doubtful already.
-        const Angle last = angle_between(c, b, back, preferred[2]);
-        special.add({first.value, middle.angles[k], last.value});
+        special.add({first, middle, angle_between(c, b.axis, back, preferred[2]).value});
     }
     return special;
 }
@@ -243,19 +240,13 @@ SpecialAngles meeting_angles(std::span<const Line, 3> lines, Vec3 moved_b, Vec3 
 SpecialAngles parallel_angles(std::span<const Line, 3> lines, Vec3 moved_point, Vec3 w, Vec3 moved_w, const Triple& preferred,
                               double slack) {
     const Vec3 a = lines[0].axis;
-    const Vec3 b = lines[1].axis;
-    const Vec3 r = across(a, lines[2].point - lines[1].point);
-    const Vec3 to_c = across(a, moved_point - lines[0].point);
     const Angle whole = angle_between(a, w, moved_w, 0.0);
-    const double square = 0.5 * (dot(to_c, to_c) - dot(w, w) - dot(r, r));
-    const Roots middle = linear_roots(dot(w, r), dot(w, cross(b, r)), square, slack, preferred[1]);
-    SpecialAngles special{.doubtful = whole.undetermined || middle.doubtful};
-    for (size_t k = 0; k < middle.count; ++k) {
-        const double angle = middle.angles[k];
-        const Vec3 arm = w + turned(b, Turn(angle), r);
-        const Angle first = angle_between(a, arm, to_c, preferred[0]);
-        special.doubtful = special.doubtful || first.undetermined;
-        special.add({first.value, angle, dot(a, lines[2].axis) * (whole.value - first.value - dot(a, b) * angle)});
+    const PairAngles pair =
+        pair_angles(lines[0], lines[1], AxesRelation::parallel, lines[2].point, moved_point, slack, {preferred[0], preferred[1]});
+    SpecialAngles special{.doubtful = whole.undetermined || pair.doubtful};
+    for (size_t k = 0; k < pair.count; ++k) {
+        const auto [first, middle] = pair.angles[k];
+        special.add({first, middle, dot(a, lines[2].axis) * (whole.value - first - dot(a, lines[1].axis) * middle)});
     }
     return special;
 }
