@@ -254,14 +254,6 @@ private:
         const DistanceBounds bounds = scene_->distance(p, {.enough = enough + STRICTLY_M, .touching = clearance});
         if (bounds.lower > enough) { return Verdict::free; }
         if (bounds.upper <= clearance || bounds.lower <= clearance || motion < min_motion(clearance)) { return Verdict::not_free; }
-        if (scene_->model().geoms[scene_->model().pairs[p].a].kind == ShapeKind::plane) { return Verdict::open; }
-        const double separating = scene_->separating_motion(p, delta_);
-        if (bounds.lower > clearance + separating) { return Verdict::free; }
-        if (bounds.upper > clearance + separating) {
-            const double enough_along = clearance + separating + STRICTLY_M;
-            const DistanceBounds exact = scene_->distance(p, {.enough = enough_along, .touching = clearance, .is_exact = true});
-            if (exact.lower > clearance + scene_->separating_motion(p, delta_)) { return Verdict::free; }
-        }
         return Verdict::open;
     }
 

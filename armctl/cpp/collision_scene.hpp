@@ -242,15 +242,6 @@ public:
         return motions_(pair.a, pair.common) + motions_(pair.b, pair.common);
     }
 
-    // Bounds it along the direction that separates a pair.
-    double separating_motion(size_t p, Vector delta) const {
-        const CollisionPair& pair = model_->pairs[p];
-        const Vec3 direction = memory_[p].direction;
-        const double scale = 1.0 / norm(direction);
-        const Vec3 normal = frames_[model_->geoms[pair.a].frame].pose.rotation * (scale * direction);
-        return motion_along(pair.a, pair.common, normal, delta) + motion_along(pair.b, pair.common, normal, delta);
-    }
-
     // The angle between the axis and the direction that it should keep, rad.
     double tilt(const KeptAxis& keep) const {
         const Vec3 axis = frames_[keep.frame].pose.rotation * keep.axis;
@@ -337,36 +328,6 @@ private:
         const Vec3 origin = pose.translation;
         const double height = -dot(down, lowest) + normal.x * origin.x + normal.y * origin.y + normal.z * origin.z;
         return height - plane.offset - other.inflation;
-    }
-
-    // To first order, and a remainder: joint j moves a point x along n by at most delta r, and by
-    // delta |n . (w x (x - o))| + delta r (turns before it + delta / 2): the turns of the joints nearer to the base tilt the
-    // direction, and the arc leaves its tangent.
-    double motion_along(size_t geom, size_t common, Vec3 normal, Vector delta) const {
-        const double radius = model_->geoms[geom].radius;
-        // Of the hinges nearer to the base than the joint in hand; the walk goes from the geom to the base.
-        double turns = 0.0;
-        for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
-            if (!model_->frames[walk].slides) { turns += delta[model_->frames[walk].joint]; }
-        }
-        double total = 0.0;
-        for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
-            const MovingFrame& moving = model_->frames[walk];
-            const double step = delta[moving.joint];
-            if (step <= 0.0) { continue; }
-            const Vec3 axis = frames_[walk].axis;
-            const double along_axis = dot(axis, normal);
-            if (moving.slides) {
-                total += step * std::min(1.0, std::abs(along_axis) + turns);
-                continue;
-            }
-            turns -= step;
-            const Vec3 velocity = cross(axis, centers_[geom] - frames_[walk].anchor);
-            const double reach = norm(velocity) + radius;
-            const double tangential = std::abs(dot(normal, velocity)) + radius * std::sqrt(std::max(0.0, 1.0 - along_axis * along_axis));
-            total += step * std::min(reach, tangential + reach * (turns + 0.5 * step));
-        }
-        return total;
     }
 
     // The point of a geom, in the world, that is farthest in a direction of the world.
