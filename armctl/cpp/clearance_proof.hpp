@@ -214,10 +214,7 @@ private:
             std::vector<size_t> open_pairs;
             for (const size_t p : *inherited) {
                 const Verdict verdict = check_pair(p, clearance);
-                if (verdict == Verdict::not_free) {
-                    scene_->expect_hit(p);
-                    return Hit{p, time};
-                }
+                if (verdict == Verdict::not_free) { return Hit{p, time}; }
                 if (verdict == Verdict::open) { open_pairs.push_back(p); }
             }
             const Verdict tilt = tilt_was_open ? check_tilt() : Verdict::free;

@@ -69,11 +69,12 @@ public:
     }
 
     // The derivatives by the n of what has derivatives (m,) by all joints.
-    void reduce_gradient(Vector all, Result gradient) const {
-        for (size_t j = 0; j < gradient.size(); ++j) {
-            gradient[j] = 0.0;
+    Numbers reduced_gradient(Vector all) const {
+        Numbers gradient(n());
+        for (size_t j = 0; j < n(); ++j) {
             for (size_t i = 0; i < all.size(); ++i) { gradient[j] += all[i] * ratio(i, j); }
         }
+        return gradient;
     }
 
     double ratio(size_t joint, size_t i) const { return ratio_(joint, i); }

@@ -44,6 +44,13 @@ struct PairDistance {
     double distance;  // m
 };
 
+// A pair, its distance, m, which is negative if it overlaps, and the derivatives (n,) by the positions of the joints.
+struct NearPair {
+    size_t pair;
+    double distance;
+    Numbers gradient;
+};
+
 // An axis that keeps its direction.
 struct KeptAxis {
     size_t frame = 0;
@@ -52,23 +59,16 @@ struct KeptAxis {
     double within = 0.0;  // rad
 };
 
-// One object for each thread: it holds the scratch memory of its queries, and what they found starts the next ones.
+// One object for each thread: it holds the scratch memory of its queries.
 class CollisionScene {
 public:
     explicit CollisionScene(std::shared_ptr<const CollisionModel> model)
-        : model_(std::move(model)), memory_(model_->pairs.size()), last_hit_(model_->pairs.size()), frames_(model_->frames.size()),
-          centers_(model_->geoms.size()), motions_(model_->geoms.size(), model_->frames.size()),
-          near_gradients_(model_->pairs.size() * model_->joints()) {}
+        : model_(std::move(model)), frames_(model_->frames.size()), centers_(model_->geoms.size()),
+          motions_(model_->geoms.size(), model_->frames.size()) {}
 
     const CollisionModel& model() const { return *model_; }
     // What stands for no pair.
     size_t no_pair() const { return model_->pairs.size(); }
-
-    // Forgets what earlier queries found; later results then do not depend on them.
-    void forget() {
-        std::fill(memory_.begin(), memory_.end(), PairMemory{});
-        last_hit_ = no_pair();
-    }
 
     // Places all frames and bounding spheres at the positions of all joints, (m,) rad.
     void place(Vector positions) {
@@ -97,18 +97,12 @@ public:
     // A pair that is not farther apart than the clearance, or `no_pair`. Places the joints.
     size_t first_hit(Vector positions, double clearance) {
         place(positions);
-        if (last_hit_ != no_pair() && touches(last_hit_, clearance)) { return last_hit_; }
         for (size_t p = 0; p < no_pair(); ++p) {
-            if (touches(p, clearance)) {
-                expect_hit(p);
-                return p;
-            }
+            if (touches(p, clearance)) { return p; }
         }
         return no_pair();
     }
 
-    // The next `first_hit` begins with this pair.
-    void expect_hit(size_t pair) { last_hit_ = pair; }
     // Marks every such pair, (K,). Places the joints.
     void all_hits(Vector positions, double clearance, std::span<std::int64_t> hits) {
         place(positions);
@@ -135,43 +129,39 @@ public:
 
     // The pairs that joints, moving by at most delta (m,), can bring nearer by more than a share of what is free, which is their
     // distance less their clearance (K,). Places the joints.
-    void find_near_pairs(Vector positions, Vector delta, double share, Vector clearances) {
-        near_pairs_.clear();
+    std::vector<NearPair> near_pairs(Vector positions, Vector delta, double share, Vector clearances) {
+        std::vector<NearPair> near;
         place(positions);
         bound_motions(delta);
-        const size_t joints = model_->joints();
         for (size_t p = 0; p < no_pair(); ++p) {
             const double pair_motion = relative_motion(p);
             if (share * (gap(p) - clearances[p]) >= pair_motion) { continue; }
             const double enough = clearances[p] + pair_motion / share;
             if (distance(p, {.enough = enough, .touching = -INFINITE_M}).lower >= enough) { continue; }
             const Witness nearest = witness(p);
-            const Result gradient(near_gradients_.data() + near_pairs_.size() * joints, joints);
-            write_distance_gradient(p, nearest, gradient);
+            const Numbers gradient = distance_gradient(p, nearest);
             double approach = 0.0;
-            for (size_t j = 0; j < joints; ++j) { approach += std::abs(gradient[j]) * delta[j]; }
-            if (share * (nearest.distance - clearances[p]) < approach) { near_pairs_.push_back({p, nearest.distance}); }
+            for (size_t j = 0; j < gradient.size(); ++j) { approach += std::abs(gradient[j]) * delta[j]; }
+            if (share * (nearest.distance - clearances[p]) < approach) {
+                near.push_back({p, nearest.distance, model_->reduced_gradient(gradient)});
+            }
         }
+        return near;
     }
-
-    // What it found; distances are negative where pairs overlap.
-    const std::vector<PairDistance>& near_pairs() const { return near_pairs_; }
-    // (m,) the derivative of the distance of a near pair by each joint.
-    Vector near_gradient(size_t index) const { return {near_gradients_.data() + index * model_->joints(), model_->joints()}; }
 
     // The following are evaluated where the joints are placed.
 
     // Whether a pair is not farther apart than the clearance.
-    bool touches(size_t p, double clearance) {
+    bool touches(size_t p, double clearance) const {
         if (gap(p) > clearance) { return false; }
         return distance(p, {.enough = clearance + STRICTLY_M, .touching = clearance}).lower <= clearance;
     }
 
-    DistanceBounds distance(size_t p, const DistanceGoal& goal) {
+    DistanceBounds distance(size_t p, const DistanceGoal& goal) const {
         const Geom& first = model_->geoms[model_->pairs[p].a];
         const Geom& second = model_->geoms[model_->pairs[p].b];
         if (first.kind == ShapeKind::plane) {
-            const double height = plane_distance(p);
+            const double height = plane_witness(first, second).distance;
             return {height, height};
         }
         const Pose relative = frames_[second.frame].pose.seen_from(frames_[first.frame].pose);
@@ -182,11 +172,8 @@ public:
             const double square = dot(v, v);
             const double length = std::sqrt(square);
             const double projection = dot(v, support);
-            if (projection / length - inflation > bounds.lower) {
-                bounds.lower = projection / length - inflation;
-                memory_[p].direction = v;
-                if (bounds.lower >= goal.enough) { return true; }
-            }
+            bounds.lower = std::max(bounds.lower, projection / length - inflation);
+            if (bounds.lower >= goal.enough) { return true; }
             if (simplex.size() == 0) { return false; }
             bounds.upper = std::min(bounds.upper, length - inflation);
             const bool is_between = bounds.lower > goal.touching && bounds.upper < goal.enough;
@@ -261,13 +248,6 @@ public:
     const PlacedFrame& frame(size_t index) const { return frames_[index]; }
 
 private:
-    // What the last query of a pair found.
-    struct PairMemory {
-        Vec3 direction;  // in the frame of the first geom
-        size_t vertex_a = Vertices::NONE;
-        size_t vertex_b = Vertices::NONE;
-    };
-
     // The nearest points of a pair, or points at the same distance along the direction from the first to the second.
     struct Witness {
         double distance;
@@ -276,10 +256,8 @@ private:
         Vec3 on_second;
     };
 
-    // The direction that the last query found, or else from center to center, in the frame of the first geom.
+    // The direction from center to center, in the frame of the first geom.
     Vec3 first_direction(size_t p) const {
-        const Vec3 last = memory_[p].direction;
-        if (dot(last, last) > NO_DIRECTION_M2) { return last; }
         const CollisionPair& pair = model_->pairs[p];
         const Vec3 between = centers_[pair.a] - centers_[pair.b];
         if (dot(between, between) < NO_DIRECTION_M2) { return {1.0, 0.0, 0.0}; }
@@ -293,22 +271,17 @@ private:
         return model_->vertices.positions[vertex];
     }
 
-    // The support point of the difference of both geoms against a direction, in the frame of the first.
-    SupportPoint difference_support(size_t p, Vec3 direction, const Pose& relative) {
-        const CollisionPair& pair = model_->pairs[p];
-        PairMemory& memory = memory_[p];
-        const Vec3 first = support_point(model_->geoms[pair.a], -direction, memory.vertex_a);
-        const Vec3 second = support_point(model_->geoms[pair.b], relative.rotation.inverse_times(direction), memory.vertex_b);
-        return {first - relative * second, first};
-    }
-
     // GJK in the frame of the first geom, until a function of the closest point and of the support point against it says that
     // this is enough, or there is no progress. Nothing where the hulls overlap, not only their inflated shapes.
     template <class IsDecided>
-    std::optional<Vec3> closest_point(size_t p, const Pose& relative, Simplex& simplex, IsDecided is_decided) {
+    std::optional<Vec3> closest_point(size_t p, const Pose& relative, Simplex& simplex, IsDecided is_decided) const {
         Vec3 v = first_direction(p);
+        size_t vertex_a = Vertices::NONE;
+        size_t vertex_b = Vertices::NONE;
         for (int step = 0; step < MAX_GJK_STEPS; ++step) {
-            const SupportPoint support = difference_support(p, v, relative);
+            const Vec3 on_first = support_point(model_->geoms[model_->pairs[p].a], -v, vertex_a);
+            const Vec3 on_second = support_point(model_->geoms[model_->pairs[p].b], relative.rotation.inverse_times(v), vertex_b);
+            const SupportPoint support{on_first - relative * on_second, on_first};
             if (is_decided(v, support.difference) || simplex.contains(support.difference)) { break; }
             simplex.add(support);
             const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
@@ -316,18 +289,6 @@ private:
             v = *closest;
         }
         return v;
-    }
-
-    double plane_distance(size_t p) {
-        const Geom& plane = model_->geoms[model_->pairs[p].a];
-        const Geom& other = model_->geoms[model_->pairs[p].b];
-        const Pose& pose = frames_[other.frame].pose;
-        const Vec3 normal = plane.normal();
-        const Vec3 down = pose.rotation.inverse_times(-normal);
-        const Vec3 lowest = support_point(other, down, memory_[p].vertex_b);
-        const Vec3 origin = pose.translation;
-        const double height = -dot(down, lowest) + normal.x * origin.x + normal.y * origin.y + normal.z * origin.z;
-        return height - plane.offset - other.inflation;
     }
 
     // The point of a geom, in the world, that is farthest in a direction of the world.
@@ -345,13 +306,15 @@ private:
         return top - direction.x * lowest.x - direction.y * lowest.y - direction.z * lowest.z;
     }
 
-    Witness witness(size_t p) {
+    Witness plane_witness(const Geom& plane, const Geom& other) const {
+        const Vec3 lowest = farthest_point(other, -plane.normal());
+        return {dot(plane.normal(), lowest) - plane.offset, plane.normal(), lowest, lowest};
+    }
+
+    Witness witness(size_t p) const {
         const Geom& first = model_->geoms[model_->pairs[p].a];
         const Geom& second = model_->geoms[model_->pairs[p].b];
-        if (first.kind == ShapeKind::plane) {
-            const Vec3 lowest = farthest_point(second, -first.normal());
-            return {dot(first.normal(), lowest) - first.offset, first.normal(), lowest, lowest};
-        }
+        if (first.kind == ShapeKind::plane) { return plane_witness(first, second); }
         std::optional<Witness> found = witness_apart(p, {});
         if (!found) { return witness_overlapping(p); }
         found->distance = found->distance - first.inflation - second.inflation;
@@ -359,7 +322,7 @@ private:
     }
 
     // The witness of a pair without its radii, the second geom displaced in the world; nothing where it overlaps.
-    std::optional<Witness> witness_apart(size_t p, Vec3 displacement) {
+    std::optional<Witness> witness_apart(size_t p, Vec3 displacement) const {
         const Pose& pose = frames_[model_->geoms[model_->pairs[p].a].frame].pose;
         Pose relative = frames_[model_->geoms[model_->pairs[p].b].frame].pose.seen_from(pose);
         relative.translation += pose.rotation.inverse_times(displacement);
@@ -378,7 +341,7 @@ private:
     // The direction in which an overlapping pair parts soonest, improved from a lattice: displace the second geom along a
     // direction n until the pair is just apart. Along the direction m of the shortest distance it parts no later than along n: with
     // the displacement s and the distance d, the depth along m is s n.m - d <= s - d.
-    Witness witness_overlapping(size_t p) {
+    Witness witness_overlapping(size_t p) const {
         const Geom& first = model_->geoms[model_->pairs[p].a];
         const double inflation = first.inflation + model_->geoms[model_->pairs[p].b].inflation;
         double depth = INFINITE_M;
@@ -410,10 +373,10 @@ private:
         return best;
     }
 
-    // How fast the nearest points move apart along the direction when a joint moves.
-    void write_distance_gradient(size_t p, const Witness& witness, Result gradient) const {
+    // How fast the nearest points move apart along the direction when a joint moves, (m,).
+    Numbers distance_gradient(size_t p, const Witness& witness) const {
         const CollisionPair& pair = model_->pairs[p];
-        std::fill(gradient.begin(), gradient.end(), 0.0);
+        Numbers gradient(model_->joints());
         for (const bool is_first : {true, false}) {
             const Vec3 point = is_first ? witness.on_first : witness.on_second;
             const double sign = is_first ? -1.0 : 1.0;
@@ -424,16 +387,13 @@ private:
                 gradient[moving.joint] += sign * dot(velocity, witness.direction);
             }
         }
+        return gradient;
     }
 
     std::shared_ptr<const CollisionModel> model_;
-    std::vector<PairMemory> memory_;
-    size_t last_hit_ = 0;
     std::vector<PlacedFrame> frames_;
     std::vector<Vec3> centers_;  // of the bounding spheres of the geoms
     DenseMatrix motions_;        // of each geom, as each frame above it sees it
-    std::vector<PairDistance> near_pairs_;
-    std::vector<double> near_gradients_;
 };
 
 }  // namespace armctl

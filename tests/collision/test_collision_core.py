@@ -95,7 +95,7 @@ def test_queries_with_arrays_of_a_wrong_length_are_refused(arm, scene):
     with pytest.raises(armctl.InputError, match="pair: 10000 is not one of "):
         scene.overlap_depth(arm.home, 10_000)
     with pytest.raises(armctl.InputError, match="clearances"):
-        scene.find_near_pairs(arm.home, np.zeros(arm.n), 0.5, np.zeros(1))
+        scene.near_pairs(arm.home, np.zeros(arm.n), 0.5, np.zeros(1))
     proof = _core.ClearanceProof(scene)
     with pytest.raises(armctl.InputError, match="knots: need at least two"):
         proof.set_motion(np.zeros(1), np.zeros((0, 2, arm.n)))
@@ -146,7 +146,6 @@ def test_threads_that_share_a_checker_find_what_one_thread_finds(arm):
     ends = arm.limits.random(arm.home, 200, np.random.default_rng(5))
 
     def proof(q: np.ndarray) -> tuple[float, ...]:
-        checker.forget()
         hit = checker.line_hit(arm.home, q, 1e-3)
         return (checker.nearest(q)[1], -1.0 if hit is None else hit.time)
 
