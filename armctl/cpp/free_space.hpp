@@ -28,8 +28,7 @@ class FreeSpace {
 public:
     // Uses the proof's scratch memory and its kept axis.
     FreeSpace(std::shared_ptr<ClearanceProof> proof, double clearance)
-        : proof_(std::move(proof)), clearance_(clearance), start_(proof_->scene().model().joints()), end_(start_.size()),
-          axis_jacobian_(n()) {}
+        : proof_(std::move(proof)), clearance_(clearance), start_(proof_->scene().model().joints()), end_(start_.size()) {}
 
     size_t n() const { return proof_->scene().model().n(); }
 
@@ -53,9 +52,7 @@ public:
     bool keeps_axis() const { return proof_->kept_axis().has_value(); }
     double kept_within() const { return proof_->kept_axis()->within; }
     // Turns the kept axis of a configuration towards its direction, by the least motion of the joints, between bounds. Returns
-    // whether it could.
-    //
-    // Damped Gauss-Newton steps with the Jacobian J of the axis: dq = J^T (J J^T + damping)^-1 rotation vector.
+    // whether it could. Newton steps on the tilt.
     bool level(Result q, Vector low, Vector high) {
         CollisionScene& scene = proof_->scene();
         const KeptAxis& keep = *proof_->kept_axis();
@@ -64,61 +61,33 @@ public:
             scene.place_frames(end_);
             const double excess = scene.tilt(keep) - LEVEL_SHARE * keep.within;
             if (excess <= LEVEL_TOLERANCE_RAD) { return true; }
-            const Vec3 axis = scene.frame(keep.frame).pose.rotation * keep.axis;
-            find_axis_jacobian(axis);
-            const Vec3 rotation = rotation_needed(axis);
-            const double scale = (excess + LEVEL_TOLERANCE_RAD) / norm(rotation);
-            const Vec3 x = solve_damped_gram(scale * rotation);
-            for (size_t j = 0; j < q.size(); ++j) {
-                q[j] += dot(axis_jacobian_[j], x);
-                q[j] = std::min(std::max(q[j], low[j]), high[j]);
-            }
+            const Numbers decrease = tilt_decrease(scene.frame(keep.frame).pose.rotation * keep.axis);
+            const double scale = (excess + LEVEL_TOLERANCE_RAD) / (dot(decrease, decrease) + LEVEL_DAMPING);
+            for (size_t j = 0; j < q.size(); ++j) { q[j] = std::min(std::max(q[j] + scale * decrease[j], low[j]), high[j]); }
         }
         return false;
     }
 
 private:
-    void find_axis_jacobian(Vec3 axis) {
+    // How fast each joint (n,) turns the kept axis towards its direction.
+    Numbers tilt_decrease(Vec3 axis) const {
         const CollisionScene& scene = proof_->scene();
-        std::fill(axis_jacobian_.begin(), axis_jacobian_.end(), Vec3{});
-        size_t walk = proof_->kept_axis()->frame;
-        while (walk > 0) {
-            const MovingFrame& moving = scene.model().frames[walk];
-            if (!moving.slides) {
-                const Vec3 hinge = scene.frame(walk).axis;
-                const Vec3 across = hinge - dot(hinge, axis) * axis;
-                for (size_t j = 0; j < axis_jacobian_.size(); ++j) { axis_jacobian_[j] += scene.model().ratio(moving.joint, j) * across; }
-            }
-            walk = moving.parent;
-        }
-    }
-
-    // The direction of the rotation that turns the axis towards its direction.
-    Vec3 rotation_needed(Vec3 axis) const {
-        const Vec3 rotation = cross(axis, proof_->kept_axis()->direction);
+        Vec3 rotation = cross(axis, proof_->kept_axis()->direction);
         if (dot(rotation, rotation) < UPSIDE_DOWN) {  // any rotation across the axis
-            return {axis.y - axis.z, axis.z - axis.x, axis.x - axis.y};
+            rotation = {axis.y - axis.z, axis.z - axis.x, axis.x - axis.y};
         }
-        return rotation;
-    }
-
-    // Solves (J J^T + damping) x = b by cofactors.
-    Vec3 solve_damped_gram(Vec3 b) const {
-        Symmetric gram{LEVEL_DAMPING, LEVEL_DAMPING, LEVEL_DAMPING, 0.0, 0.0, 0.0};
-        for (const Vec3 t : axis_jacobian_) { gram += {t.x * t.x, t.y * t.y, t.z * t.z, t.x * t.y, t.x * t.z, t.y * t.z}; }
-        const auto [xx, yy, zz, xy, xz, yz] = gram;
-        const double determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - xz * yz) + xz * (xy * yz - xz * yy);
-        const Symmetric adjugate{yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy,
-                                 xz * yz - xy * zz, xy * yz - xz * yy, xy * xz - xx * yz};
-        const Vec3 x = adjugate * b;
-        return {x.x / determinant, x.y / determinant, x.z / determinant};
+        Numbers all(scene.model().joints());
+        for (size_t walk = proof_->kept_axis()->frame; walk > 0; walk = scene.model().frames[walk].parent) {
+            const MovingFrame& moving = scene.model().frames[walk];
+            if (!moving.slides) { all[moving.joint] = dot(scene.frame(walk).axis, rotation) / norm(rotation); }
+        }
+        return scene.model().reduced_gradient(all);
     }
 
     std::shared_ptr<ClearanceProof> proof_;
     double clearance_;
     std::vector<double> start_;  // (m,)
     std::vector<double> end_;
-    std::vector<Vec3> axis_jacobian_;  // (n,) how each joint turns the kept axis, across it
 };
 
 }  // namespace armctl
