@@ -18,7 +18,6 @@ constexpr double COARSE_MOTION = 0.8;  // of the size of the moving geom: while 
 constexpr double MIN_TILT_RAD = 1e-4;  // an interval in which the axis turns by less is not split again: it then counts as tilted
 constexpr double RESOLUTION_M = 2e-4;  // of the closest approach: between the proved bound and a distance that is attained
 constexpr double SETTLED_M = 1e-7;     // A bound that is so near to the clearance is taken for it
-constexpr int APPROACH_SAMPLES = 24;   // samples of the motion from which the search for its closest approach starts
 constexpr double UNIT_KNOTS[] = {0.0, 1.0};
 
 // A motion of all joints by polynomials of time, of degree 1 to 5.
@@ -47,12 +46,6 @@ public:
     size_t pieces() const { return knots_.size() - 1; }
     double knot(size_t index) const { return knots_[index]; }
     double length(size_t piece) const { return knots_[piece + 1] - knots_[piece]; }
-
-    // The piece at a time, looked for from a given one onwards.
-    size_t piece_at(double time, size_t piece) const {
-        while (piece + 1 < pieces() && knots_[piece + 1] <= time) { ++piece; }
-        return piece;
-    }
 
     // The positions (m,) in the middle of an interval of one piece, and how far each joint leaves them at most. Times count from
     // the piece's knot.
@@ -129,20 +122,9 @@ public:
     // Proves that the motion keeps slightly less than the least distance seen so far, but more than the clearance. Where the
     // proof stops, a smaller distance is found, and the proof goes on with that one: what is settled so far stays settled.
     Approach closest_approach(double clearance) {
-        PairDistance least{scene_->no_pair(), INFINITE_M};
-        double when = 0.0;
-        size_t piece = 0;
-        for (int k = 0; k < APPROACH_SAMPLES; ++k) {
-            const double begin = motion_.knot(0);
-            const double time = begin + (motion_.knot(motion_.pieces()) - begin) * k / (APPROACH_SAMPLES - 1);
-            piece = motion_.piece_at(time, piece);
-            motion_.bound(piece, time - motion_.knot(piece), 0.0, positions_, delta_);
-            const PairDistance now = scene_->nearest_pair(positions_);
-            if (now.distance < least.distance) {
-                least = now;
-                when = time;
-            }
-        }
+        double when = motion_.knot(0);
+        motion_.bound(0, 0.0, 0.0, positions_, delta_);
+        PairDistance least = scene_->nearest_pair(positions_);
         begin_proof(std::nullopt);
         double aim = least.distance;
         while (least.distance > clearance) {
