@@ -126,9 +126,6 @@ class CollisionScene:
         The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.
         """
 
-    def overlap_depth(self, q: numpy.ndarray, pair: int) -> float:
-        """How far the geoms of a pair must move to part, m, at most."""
-
     def near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> list[NearPair]:
         """
         The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is

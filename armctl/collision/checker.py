@@ -107,7 +107,9 @@ class CollisionChecker:
 
     def depth(self, q: Array, pair: int) -> float:
         """How deep, m, a pair overlaps at q (n,): the shortest of many displacements that part it; negative if it is apart."""
-        return self._memory.scene.overlap_depth(_contiguous(q), pair)
+        clearances = np.full(len(self.geometry.pairs), -np.inf)  # no other pair is near
+        clearances[pair] = np.inf
+        return -float(self.near(q, np.zeros(len(q)), 1.0, clearances).distances[0])
 
     def near(self, q: Array, moves: Array, share: float, clearances: Array) -> NearPairs:
         """The pairs that a motion by at most `moves` (n,) rad can bring nearer by more than a share of what is free.

@@ -121,12 +121,6 @@ public:
         return nearest;
     }
 
-    // How far the second geom of a pair must move to part from the first, at most. Places the joints.
-    double overlap_depth(Vector positions, size_t pair) {
-        place(positions);
-        return -witness(pair).distance;
-    }
-
     // The pairs that joints, moving by at most delta (m,), can bring nearer by more than a share of what is free, which is their
     // distance less their clearance (K,). Places the joints.
     std::vector<NearPair> near_pairs(Vector positions, Vector delta, double share, Vector clearances) {

@@ -43,29 +43,23 @@ struct Vertices {
 
     // The vertex of a hull that is farthest in a direction; the search of a large hull climbs over its edges from a start.
     size_t farthest(const Geom& hull, Vec3 direction, size_t start) const {
-        if (hull.last_vertex - hull.first_vertex <= LARGE_HULL_VERTICES) {
-            size_t best = hull.first_vertex;
-            double farthest = dot(positions[best], direction);
-            for (size_t i = hull.first_vertex + 1; i < hull.last_vertex; ++i) {
-                const double value = dot(positions[i], direction);
-                if (value > farthest) {
-                    farthest = value;
-                    best = i;
-                }
+        const bool is_large = hull.last_vertex - hull.first_vertex > LARGE_HULL_VERTICES;
+        size_t best = is_large && hull.first_vertex <= start && start < hull.last_vertex ? start : hull.first_vertex;
+        double farthest = dot(positions[best], direction);
+        const auto compare = [&](size_t vertex) {
+            const double value = dot(positions[vertex], direction);
+            if (value > farthest) {
+                farthest = value;
+                best = vertex;
             }
+        };
+        if (!is_large) {
+            for (size_t i = hull.first_vertex + 1; i < hull.last_vertex; ++i) { compare(i); }
             return best;
         }
-        size_t best = hull.first_vertex <= start && start < hull.last_vertex ? start : hull.first_vertex;
-        double farthest = dot(positions[best], direction);
         while (true) {
             const size_t current = best;
-            for (size_t edge = first_neighbors[current]; edge < first_neighbors[current + 1]; ++edge) {
-                const double value = dot(positions[neighbors[edge]], direction);
-                if (value > farthest) {
-                    farthest = value;
-                    best = neighbors[edge];
-                }
-            }
+            for (size_t edge = first_neighbors[current]; edge < first_neighbors[current + 1]; ++edge) { compare(neighbors[edge]); }
             if (best == current) { return best; }
         }
     }

@@ -35,15 +35,11 @@ public:
 
     // The goal of a target in m; one that is very far is moved nearer on its line.
     Goal goal(const Pose& target, Constraint constraint) const {
-        const Vec3 p = target.translation;
-        const double reach = chain().reach();
-        const double largest = std::max(std::max(std::abs(p.x), std::abs(p.y)), std::abs(p.z));
-        const double shrink = largest < MAX_SQUARED_LENGTH ? 1.0 : 1.0 / largest;
-        const Vec3 scaled{shrink * p.x / reach, shrink * p.y / reach, shrink * p.z / reach};
-        const Vec3 base = chain().base();
-        const Vec3 away = scaled - shrink * base;
-        const double factor = std::min(1.0 / shrink, MAX_TARGET_REACHES / std::max(norm(away), TINIEST));
-        return {{target.rotation, base + factor * away}, constraint};
+        const auto in_reaches = [this](double length) { return Bounds{-MAX_LENGTH, MAX_LENGTH}.clamp(length / chain().reach()); };
+        const auto [x, y, z] = target.translation;
+        const Vec3 away = Vec3{in_reaches(x), in_reaches(y), in_reaches(z)} - chain().base();
+        const double factor = std::min(1.0, MAX_TARGET_REACHES / std::max(distance(away), TINIEST));
+        return {{target.rotation, chain().base() + factor * away}, constraint};
     }
 
     // The model at q: error, Jacobian of the error, gradient and J^T J. Returns the errors in reaches and rad.
@@ -160,29 +156,7 @@ private:
     // A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
     // rounding.
     static constexpr double MAX_TARGET_REACHES = 1e3;
-    static constexpr double MAX_SQUARED_LENGTH = 1e140;  // m: the square of a greater length may overflow; such numbers are scaled first
-
-    // The rotation vector of half a turn from the tip to the target: about the tip's axis that moves least, or across the free
-    // axis.
-    static Vec3 half_turn(const Goal& goal, const Rotation& tip) {
-        int column = (free_axis(goal.constraint) + 1) % 3;
-        Vec3 axis;
-        if (goal.constraint == Constraint::pose) {
-            double largest = -2.0;
-            for (int k = 0; k < 3; ++k) {
-                const double cos = dot(axis_of(tip, k), axis_of(goal.pose.rotation, k));
-                if (cos > largest) {
-                    column = k;
-                    largest = cos;
-                }
-            }
-            // The middle between the two directions of that axis is on the axis of rotation.
-            axis = axis_of(tip, column) + axis_of(goal.pose.rotation, column);
-        } else {
-            axis = axis_of(tip, column);
-        }
-        return (std::numbers::pi / norm(axis)) * axis;
-    }
+    static constexpr double MAX_LENGTH = 1e307;  // reaches: a greater one overflows
 
     struct State {
         double gradient;
@@ -220,7 +194,9 @@ private:
         }
         const double sin = norm(axis);
         if (sin > MIN_SINE) { return (std::atan2(sin, cos) / sin) * axis; }
-        return cos < 0.0 ? half_turn(goal, tip) : Vec3{};
+        if (cos >= 0.0) { return {}; }
+        // Half a turn, about any axis across the free one.
+        return is_pose ? rotation_vector(tip, goal.pose.rotation) : std::numbers::pi * axis_of(tip, (free_axis(goal.constraint) + 1) % 3);
     }
 
     // Solves (J^T J + damping I) step = gradient for the unknowns not at a bound; the others keep their step.

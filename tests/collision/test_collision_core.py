@@ -93,7 +93,7 @@ def test_queries_with_arrays_of_a_wrong_length_are_refused(arm, scene):
     with pytest.raises(armctl.InputError, match=r"q: .*\(6,\)"):
         scene.nearest_pair(np.zeros(5))
     with pytest.raises(armctl.InputError, match="pair: 10000 is not one of "):
-        scene.overlap_depth(arm.home, 10_000)
+        _core.ClearanceProof(scene).hit(0.0, 10_000)
     with pytest.raises(armctl.InputError, match="clearances"):
         scene.near_pairs(arm.home, np.zeros(arm.n), 0.5, np.zeros(1))
     proof = _core.ClearanceProof(scene)

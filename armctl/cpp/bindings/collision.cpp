@@ -19,10 +19,6 @@ namespace {
 
 using Release = nb::call_guard<nb::gil_scoped_release>;
 
-size_t checked_pair(const CollisionModel& model, size_t pair) {
-    return checked_index(static_cast<std::int64_t>(pair), model.pairs.size(), "pair");
-}
-
 // The positions of all joints at q (n,); the memory is the thread's.
 Vector all_positions(const CollisionScene& scene, const In& q) {
     thread_local std::vector<double> positions;
@@ -33,10 +29,6 @@ Vector all_positions(const CollisionScene& scene, const In& q) {
 
 void find_all_hits(CollisionScene& scene, const In& q, double clearance, const IntegersOut& hits) {
     scene.all_hits(all_positions(scene, q), clearance, hits.vector(scene.model().pairs.size(), "hits"));
-}
-
-double overlap_depth(CollisionScene& scene, const In& q, size_t pair) {
-    return scene.overlap_depth(all_positions(scene, q), checked_pair(scene.model(), pair));
 }
 
 std::vector<NearPair> find_near_pairs(CollisionScene& scene, const In& q, const In& moves, double share, const In& clearances) {
@@ -82,7 +74,6 @@ void bind_scene(nb::module_& module) {
         .def(
             "nearest_pair", [](CollisionScene& self, const In& q) { return self.nearest_pair(all_positions(self, q)); }, "q"_a, Release(),
             "The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.")
-        .def("overlap_depth", &overlap_depth, "q"_a, "pair"_a, Release(), "How far the geoms of a pair must move to part, m, at most.")
         .def("near_pairs", &find_near_pairs, "q"_a, "moves"_a, "share"_a, "clearances"_a, Release(),
              "The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is\n"
              "their distance less their clearance (K,).")
@@ -105,7 +96,7 @@ void set_motion(ClearanceProof& proof, const In& knots, const In& coefficients) 
 }
 
 std::optional<Hit> find_hit(ClearanceProof& proof, double clearance, std::optional<size_t> pair) {
-    if (pair) { checked_pair(proof.scene().model(), *pair); }
+    if (pair) { checked_index(static_cast<std::int64_t>(*pair), proof.scene().no_pair(), "pair"); }
     return proof.hit(clearance, pair);
 }
 
