@@ -441,13 +441,10 @@ class Chain:
         last: int,
         seed: int,
         q: numpy.ndarray,
-        solved: numpy.ndarray,
-        next_start: numpy.ndarray,
-        steps: numpy.ndarray,
-        jumped: numpy.ndarray,
+        outcomes: numpy.ndarray,
     ) -> None:
         """
-        Searches for each of the targets (N, 12). Fills q (N, n) and, (N,) each, what IkAnswer has.
+        Searches for each of the targets (N, 12). Fills q (N, n) and outcomes (N, 4): the first four fields of IkAnswer.
         """
 
     def refine(

@@ -60,7 +60,8 @@ public:
 
     const Chain& chain() const { return *chain_; }
 
-    // Fills `seeds` (M, n) with the configurations inside the bounds, up to `margin`, for a target in m.
+    // Fills `seeds` (M, n) with the configurations inside the bounds, up to `margin`, rad, for a target in m. `slack`, in cosines, is
+    // what the closed form may miss by rounding, or because it is not exact.
     Seeds find(const Pose& target, Vector q0, double slack, double margin, const Sweep& sweep, MatrixResult seeds) const;
 
 private:
