@@ -78,20 +78,30 @@ class PairDistance:
     def distance(self) -> float:
         """m"""
 
+class NearPair:
+    """A pair, and how its distance changes."""
+
+    @property
+    def pair(self) -> int:
+        """Its row."""
+
+    @property
+    def distance(self) -> float:
+        """m; negative if it overlaps."""
+
+    @property
+    def gradient(self) -> list[float]:
+        """The derivatives (n,) of the distance by the positions of the joints."""
+
 class KeptAxis:
     """An axis that keeps its direction."""
 
 class CollisionScene:
     """
     Distances where an arm is, with scratch memory: use an object in one thread at a time.
-
-    What a query finds starts the next ones, which can change the last bits of distances.
     """
 
     def __init__(self, model: CollisionModel) -> None: ...
-    def forget(self) -> None:
-        """Forgets what earlier queries found."""
-
     def first_hit(self, q: numpy.ndarray, clearance: float) -> int:
         """
         A pair that is not farther apart than the clearance, m, at q (n,), or the number of pairs where there is none.
@@ -105,18 +115,10 @@ class CollisionScene:
         The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.
         """
 
-    def overlap_depth(self, q: numpy.ndarray, pair: int) -> float:
-        """How far the geoms of a pair must move to part, m, at most."""
-
-    def find_near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> int:
+    def near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> list[NearPair]:
         """
-        Finds the pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which
-        is their distance less their clearance (K,). Returns how many there are.
-        """
-
-    def near_pairs(self, pairs: numpy.ndarray, distances: numpy.ndarray, gradients: numpy.ndarray) -> None:
-        """
-        Writes what `find_near_pairs` found: rows (k,), distances (k,), and their derivatives (k, n).
+        The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is
+        their distance less their clearance (K,).
         """
 
     def kept_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> KeptAxis:
@@ -278,11 +280,9 @@ class EnvironmentRows:
 class AxesRelation(enum.IntEnum):
     """How the axes of some joints are related."""
 
-    NEITHER = 0
+    MEET = 0
 
-    MEET = 1
-
-    PARALLEL = 2
+    PARALLEL = 1
 
 class Constraint(enum.Enum):
     """
@@ -392,13 +392,10 @@ class Chain:
         last: int,
         seed: int,
         q: numpy.ndarray,
-        solved: numpy.ndarray,
-        next_start: numpy.ndarray,
-        steps: numpy.ndarray,
-        jumped: numpy.ndarray,
+        outcomes: numpy.ndarray,
     ) -> None:
         """
-        Searches for each of the targets (N, 12). Fills q (N, n) and, (N,) each, what IkAnswer has.
+        Searches for each of the targets (N, 12). Fills q (N, n) and outcomes (N, 4): the first four fields of IkAnswer.
         """
 
     def refine(
@@ -476,7 +473,7 @@ class IkErrorModel:
 
 class ClosedForm:
     """
-    The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.
+    The closed form of six hinges; armctl/cpp/closed_form.hpp explains it. Immutable.
     """
 
     def __init__(self, chain: Chain, **arguments) -> None:

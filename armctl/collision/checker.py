@@ -72,10 +72,6 @@ class CollisionChecker:
         memory.proof.keep_axis(memory.scene.kept_axis(_contiguous(keep.q), frame, _contiguous(keep.direction), keep.within))
         return memory.proof
 
-    def forget(self) -> None:
-        """Forgets what earlier queries of this thread found: they can change the last bits of later results."""
-        self._memory.scene.forget()
-
     def tilts(self, hit: Hit) -> bool:
         """Whether a proof stopped because the kept axis tilts, and not because a pair is too near."""
         return hit.pair == len(self.geometry.pairs)
@@ -111,19 +107,21 @@ class CollisionChecker:
 
     def depth(self, q: Array, pair: int) -> float:
         """How deep, m, a pair overlaps at q (n,): the shortest of many displacements that part it; negative if it is apart."""
-        return self._memory.scene.overlap_depth(_contiguous(q), pair)
+        clearances = np.full(len(self.geometry.pairs), -np.inf)  # no other pair is near
+        clearances[pair] = np.inf
+        return -float(self.near(q, np.zeros(len(q)), 1.0, clearances).distances[0])
 
     def near(self, q: Array, moves: Array, share: float, clearances: Array) -> NearPairs:
         """The pairs that a motion by at most `moves` (n,) rad can bring nearer by more than a share of what is free.
 
-        What is free of a pair is its distance less its clearance (K,) m. The result does not depend on earlier queries.
+        What is free of a pair is its distance less its clearance (K,) m.
         """
-        scene = self._memory.scene
-        scene.forget()
-        count = scene.find_near_pairs(_contiguous(q), np.abs(self._joint_map.ratio) @ moves, share, clearances)
-        near = NearPairs(np.empty(count, np.int64), np.empty(count), np.empty((count, len(q))))
-        scene.near_pairs(near.pairs, near.distances, near.gradients)
-        return near
+        near = self._memory.scene.near_pairs(_contiguous(q), np.abs(self._joint_map.ratio) @ moves, share, clearances)
+        return NearPairs(
+            pairs=np.array([each.pair for each in near], np.int64),
+            distances=np.array([each.distance for each in near]),
+            gradients=np.array([each.gradient for each in near]).reshape(-1, len(q)),
+        )
 
     def line_hit(self, start: Array, end: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
         """Proves that the straight line between two configurations (n,) keeps more than a clearance, m.

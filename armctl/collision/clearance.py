@@ -126,7 +126,6 @@ def clearance_of(
         raise InputError(
             f"trajectory: expected polynomials of degree at most {MAX_DEGREE}, got {trajectory.coefficients.shape[1] - 1}"
         )
-    checker.forget()
     approach = checker.closest_approach(trajectory.knots, trajectory.coefficients, clearance, keep)
     hit = approach.nearest
     has_pairs = bool(len(checker.geometry.pairs))

@@ -96,7 +96,7 @@ class Geometry:
     frames: Frames  # what moves them
     arrays: dict[str, Any]  # what the core takes, without the pairs
     core: CollisionModel  # the model in the core
-    pairs: IntArray  # (K, 2) the shapes of each pair, in the order of the groups: the geoms of a frame, or one that stands
+    pairs: IntArray  # (K, 2) the shapes of each pair
 
     def with_pairs(self, keep: BoolArray) -> Geometry:
         """The same geometry with the pairs that `keep` (K,) marks."""
@@ -164,32 +164,13 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     shapes = [_shape(model, data, int(geom), int(frames.of_body[model.geom_bodyid[geom]])) for geom in geom_ids]
     arrays = _arrays(frames, shapes, joint_map)
     rows = np.searchsorted(geom_ids, pairs)
-    first, second = _group_spheres(arrays, rows).T
-    return _geometry(frozen(geom_ids), shapes, frames, arrays, rows[np.lexsort((second, first))])
+    return _geometry(frozen(geom_ids), shapes, frames, arrays, rows)
 
 
 def _geometry(geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Any], pairs: IntArray) -> Geometry:
-    """The geometry with pairs that are in the order of their groups."""
-    groups = _group_spheres(arrays, pairs)
-    last = np.flatnonzero((groups != np.roll(groups, -1, axis=0)).any(axis=1) | (np.arange(len(pairs)) == len(pairs) - 1))
     first_geoms, second_geoms = np.ascontiguousarray(pairs.T, np.int64)
-    first_spheres, second_spheres = np.ascontiguousarray(groups[last].T)
-    core = CollisionModel(
-        **arrays,
-        first_geoms=first_geoms,
-        second_geoms=second_geoms,
-        first_spheres=first_spheres,
-        second_spheres=second_spheres,
-        last_pairs=last + 1,
-    )
+    core = CollisionModel(**arrays, first_geoms=first_geoms, second_geoms=second_geoms)
     return Geometry(geom_ids, shapes, frames, arrays, core, frozen(pairs))
-
-
-def _group_spheres(arrays: dict[str, Any], pairs: IntArray) -> IntArray:
-    """(K, 2) the bounding spheres of the groups of pairs of geoms."""
-    frames = arrays["frames"]
-    group = np.where(frames > 0, len(frames) + np.searchsorted(np.unique(frames[frames > 0]), frames), np.arange(len(frames)))
-    return group[pairs].reshape(-1, 2).astype(np.int64)
 
 
 def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dict[str, Any]:
@@ -197,11 +178,6 @@ def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dic
     first_vertex = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
     counts = [shape.edges.counts for shape in shapes]
     neighbors = [shape.edges.neighbors + first for shape, first in zip(shapes, first_vertex[:-1], strict=True)]
-    frame_of_geom = np.array([shape.frame for shape in shapes], np.int64)
-    moving = np.unique(frame_of_geom[frame_of_geom > 0])
-    centers = np.array([shape.center for shape in shapes]).reshape(-1, 3)
-    radii = np.array([shape.bound for shape in shapes], np.float64) * _ROUNDING
-    groups = [bounding_sphere(centers[frame_of_geom == frame], radii[frame_of_geom == frame]) for frame in moving]
     return {
         "axes": frames.axes,
         "anchors": frames.anchors,
@@ -213,14 +189,13 @@ def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dic
         "ratio": joint_map.ratio,
         "joint_offset": joint_map.offset,
         "kinds": np.array([int(shape.kind) for shape in shapes], np.int64),
-        "frames": frame_of_geom,
+        "frames": np.array([shape.frame for shape in shapes], np.int64),
         "inflations": np.array([shape.inflation for shape in shapes], np.float64),
         "positions": np.array([shape.position for shape in shapes]).reshape(-1, 3),
         "rotations": np.array([shape.rotation for shape in shapes]).reshape(-1, 3, 3),
         "sizes": np.array([shape.size for shape in shapes]).reshape(-1, 3),
-        "centers": np.concatenate([centers, np.array([center for center, _ in groups]).reshape(-1, 3)]),
-        "radii": np.concatenate([radii, np.array([radius for _, radius in groups], np.float64) * _ROUNDING]),
-        "sphere_frames": np.concatenate([frame_of_geom, moving]),
+        "centers": np.array([shape.center for shape in shapes]).reshape(-1, 3),
+        "radii": np.array([shape.bound for shape in shapes], np.float64) * _ROUNDING,
         "first_vertex": first_vertex.astype(np.int64),
         "vertices": np.concatenate([_NO_VERTICES, *(shape.vertices for shape in shapes)]),
         "first_neighbor": np.cumsum(np.concatenate([[0], *counts])).astype(np.int64),

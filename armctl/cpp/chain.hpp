@@ -14,7 +14,7 @@
 namespace armctl {
 
 // How the axes of some joints are related.
-enum class AxesRelation { neither = 0, meet = 1, parallel = 2 };
+enum class AxesRelation { meet, parallel };
 
 struct Bounds {
     double low;
@@ -60,7 +60,7 @@ inline Unknown make_unknown(Bounds bounds, double period) {
 }
 
 inline AxesRelation relation_of(const Arguments& arguments, const char* name) {
-    return static_cast<AxesRelation>(checked_index(arguments.integer(name), 3, name));
+    return static_cast<AxesRelation>(checked_index(arguments.integer(name), 2, name));
 }
 
 // Immutable after its construction: threads share it.

@@ -93,9 +93,8 @@ public:
         }
     }
 
-    // The branch where the joints are placed: the signs of the factors of the Jacobian's determinant, as a number. If two of
-    // the three axes that are not special meet or are parallel there are three factors, else two. Of an arm with seven joints
-    // it is the Jacobian without the joint that is swept.
+    // The branch where the joints are placed: the signs of the three factors of the Jacobian's determinant, as a number. Of an arm
+    // with seven joints it is the Jacobian without the joint that is swept.
     int branch() const {
         if (!chain_->special_axes()) { return NO_BRANCH; }
         const SpecialAxes& special = *chain_->special_axes();
@@ -106,7 +105,7 @@ public:
         const bool is_first_pair = special.pair_first == 0;
         double first = 0.0;
         double second = 0.0;
-        double third = 1.0;
+        double third = 0.0;
         if (special.relation == AxesRelation::meet) {
             first = volume(axis(a), axis(a + 1), axis(a + 2));
             const size_t u = is_first_pair ? f : g;
@@ -118,30 +117,19 @@ public:
             if (special.pair_relation == AxesRelation::meet) {
                 second = volume(to_u, axis(u), axis(v));
                 third = volume(to_u, axis(w), to_w);
-            } else if (special.pair_relation == AxesRelation::parallel) {
+            } else {
                 second = volume(axis(u), to_u, to_v);
                 third = volume(axis(u), axis(w), to_w);
-            } else {
-                // The volume of axis x arm of the three joints, by (a x b) x (c x d) = b [a c d] - a [b c d].
-                const double across = volume(axis(u), axis(v), to_v);
-                const double along = volume(to_u, axis(v), to_v);
-                second = across * volume(to_u, axis(w), to_w) - along * volume(axis(u), axis(w), to_w);
             }
         } else {
             const Vec3 direction = axis(a);
             first = volume(direction, point(a + 1) - point(a), point(a + 2) - point(a));
-            const double turn_f = volume(axis(g), axis(f), direction);
-            const double turn_h = volume(axis(g), axis(h), direction);
-            const double height_f = volume(direction, axis(f), point(g) - point(f));
-            const double height_h = volume(direction, axis(h), point(g) - point(h));
-            if (special.pair_relation == AxesRelation::neither) {
-                second = turn_f * height_h - turn_h * height_f;
-            } else if (is_first_pair == (special.pair_relation == AxesRelation::meet)) {
-                second = height_h;
-                third = turn_f;
+            if (is_first_pair == (special.pair_relation == AxesRelation::meet)) {
+                second = volume(direction, axis(h), point(g) - point(h));
+                third = volume(axis(g), axis(f), direction);
             } else {
-                second = height_f;
-                third = turn_h;
+                second = volume(direction, axis(f), point(g) - point(f));
+                third = volume(axis(g), axis(h), direction);
             }
         }
         return 9 * sign_code(first) + 3 * sign_code(second) + sign_code(third);

@@ -1,13 +1,41 @@
 #include "closed_form.hpp"
 
+#include <numbers>
 #include <utility>
 
 #include "errors.hpp"
-#include "trigonometric_roots.hpp"
 
 namespace armctl {
 
 namespace {
+
+constexpr double NEAR_DOUBLE_ROOT = 1e-6;  // of a cosine from 1: the two roots are closer than 3e-3 rad, and may be one
+constexpr double TINY = 1e-9;              // reaches, or sine of an angle: a circle with that radius is a point
+
+// The angles that solve an equation, and whether their number is doubtful: rounding decides, or all angles are solutions.
+struct Roots {
+    std::array<double, 2> angles{};
+    size_t count = 0;
+    bool doubtful = false;
+};
+
+// The angles t with a cos t + b sin t = d, at most two.
+//
+// A cosine up to 1 + slack counts as 1. If every angle is a solution, the preferred one is returned.
+Roots linear_roots(double a, double b, double d, double slack, double preferred) {
+    const double radius = std::sqrt(a * a + b * b);
+    if (radius < TINY) { return {.angles = {preferred, preferred}, .count = std::abs(d) <= TINY + slack ? 1u : 0u, .doubtful = true}; }
+    const double cos = d / radius;
+    const double middle = std::atan2(b, a);
+    const bool doubtful = std::abs(cos) > 1.0 - NEAR_DOUBLE_ROOT && std::abs(cos) <= 1.0 + std::max(slack, NEAR_DOUBLE_ROOT);
+    if (std::abs(cos) > 1.0) {
+        if (std::abs(cos) > 1.0 + slack) { return {.angles = {middle, middle}, .count = 0, .doubtful = doubtful}; }
+        const double angle = cos > 0 ? middle : middle + std::numbers::pi;
+        return {.angles = {angle, angle}, .count = 1, .doubtful = true};
+    }
+    const double half = std::acos(cos);
+    return {.angles = {middle + half, middle - half}, .count = 2, .doubtful = doubtful};
+}
 
 using Triple = std::array<double, 3>;
 
@@ -21,7 +49,8 @@ struct Configurations {
     void add(const std::array<double, JOINTS>& configuration) { angles[count++] = configuration; }
 };
 
-using LoopAngles = Configurations<3, 8>;     // of the three joints that are found first, in the order of the loop
+using PairAngles = Configurations<2, 2>;
+using LoopAngles = Configurations<3, 4>;     // of the three joints that are found first, in the order of the loop
 using SpecialAngles = Configurations<3, 2>;  // of the three special joints
 using SixAngles = Configurations<6, MAX_CONFIGURATIONS>;
 
@@ -64,13 +93,33 @@ Angle angle_between(Vec3 axis, Vec3 a, Vec3 b, double preferred) {
     return {std::atan2(dot(axis, cross(u, v)), dot(u, v)), false};
 }
 
-// The foot points, on both lines, of the common normal of two lines that are neither parallel nor meet.
-std::array<Vec3, 2> common_normal(const Line& a, const Line& b) {
-    const Vec3 normal = cross(a.axis, b.axis);
-    const double square = dot(normal, normal);
-    const Vec3 between = b.point - a.point;
-    return {a.point + (dot(cross(between, b.axis), normal) / square) * a.axis,
-            b.point + (dot(cross(between, a.axis), normal) / square) * b.axis};
+// E_1 E_2 x = goal, for two lines that meet or are parallel. Where all angles are solutions, they are the preferred ones.
+PairAngles pair_angles(const Line& first, const Line& second, AxesRelation relation, Vec3 x, Vec3 goal, double slack,
+                       std::array<double, 2> preferred) {
+    const auto& [f1, p1] = first;
+    const auto& [f2, p2] = second;
+    const bool is_parallel = relation == AxesRelation::parallel;
+    // Where the axes are parallel, the heights along them remain; where they meet, the distance from their point.
+    const Vec3 r = is_parallel ? across(f1, x - p2) : x - p2;
+    const Vec3 end = is_parallel ? across(f1, goal - p1) : goal - p1;
+    const Vec3 w = across(f1, p2 - p1);
+    Roots angles2;
+    if (is_parallel) {
+        const double square = 0.5 * (dot(end, end) - dot(w, w) - dot(r, r));
+        angles2 = linear_roots(dot(w, r), dot(w, cross(f2, r)), square, slack, preferred[1]);
+    } else {
+        const double height = dot(f1, end) - dot(f1, f2) * dot(f2, r);
+        angles2 = linear_roots(dot(f1, across(f2, r)), dot(f1, cross(f2, r)), height, slack, preferred[1]);
+    }
+    PairAngles pair{.doubtful = angles2.doubtful};
+    for (size_t k = 0; k < angles2.count; ++k) {
+        const Turn turn(angles2.angles[k]);
+        const Vec3 arm = is_parallel ? w + turned(f2, turn, r) : moved(second, turn, x) - p1;
+        const Angle angle1 = angle_between(f1, arm, end, preferred[0]);
+        pair.doubtful = pair.doubtful || angle1.undetermined;
+        pair.add({angle1.value, angles2.angles[k]});
+    }
+    return pair;
 }
 
 // E_1 E_2 E_3 start = goal, for three lines of which the first two are related.
@@ -82,94 +131,33 @@ struct PointEquation {
     double slack;
     Triple preferred;
 
-    LoopAngles solve();
-
-private:
-    Roots last_angles(Vec3 centre, Vec3 u, Vec3 v) const;
-    Roots middle_angles(Vec3 x) const;
+    LoopAngles solve() const;
 };
 
-// Angle 3, where axes 2 and 1 can turn the point to the goal. Axis 3 moves the point on a circle: centre + u cos t + v sin t.
-Roots PointEquation::last_angles(Vec3 centre, Vec3 u, Vec3 v) const {
+LoopAngles PointEquation::solve() const {
     const auto& [f1, p1] = lines[0];
-    const auto& [f2, p2] = lines[1];
-    const Vec3 to_goal = goal - p1;
+    const auto& [f3, p3] = lines[2];
+    // Axis 3 moves the point on a circle, centre + u cos t + v sin t, to where axes 2 and 1 can turn it to the goal.
+    const Vec3 centre = p3 + dot(f3, start - p3) * f3;
+    const Vec3 u = start - centre;
+    const Vec3 v = cross(f3, u);
+    Roots last;
     if (relation == AxesRelation::meet) {
+        const Vec3 to_goal = goal - p1;
         const Vec3 out = centre - p1;
         const double square = 0.5 * (dot(to_goal, to_goal) - dot(out, out) - dot(u, u));
-        return linear_roots(dot(out, u), dot(out, v), square, slack, preferred[2]);
-    }
-    if (relation == AxesRelation::parallel) {
+        last = linear_roots(dot(out, u), dot(out, v), square, slack, preferred[2]);
+    } else {
         const double height = dot(f1, goal) - dot(f1, centre);
-        return linear_roots(dot(f1, u), dot(f1, v), height, slack, preferred[2]);
+        last = linear_roots(dot(f1, u), dot(f1, v), height, slack, preferred[2]);
     }
-    // With the common normal w from p1 to p2, the goal's height along axis 1 and its distance determine the part of the point
-    // across axis 2. Its length is known, too.
-    const Vec3 w = p2 - p1;
-    const Vec3 side = across(f2, f1);
-    const Vec3 out = centre - p2;
-    const double cos = dot(f1, f2);
-    const Vec3 along{dot(f2, out), dot(f2, u), dot(f2, v)};
-    const Vec3 square{dot(out, out) + dot(u, u), 2.0 * dot(out, u), 2.0 * dot(out, v)};
-    const double rest = dot(to_goal, to_goal) - dot(w, w);
-    TrigonometricForm form{.constant = -square.x, .cos = -square.y, .sin = -square.z};
-    const double height = dot(f1, to_goal) - cos * along.x;
-    form.add_square(height, -cos * along.y, -cos * along.z, 1.0 / dot(side, side));
-    form.add_square(0.5 * (rest - square.x), -0.5 * square.y, -0.5 * square.z, 1.0 / dot(w, w));
-    form.add_square(along.x, along.y, along.z, 1.0);
-    return trigonometric_roots(form, slack);
-}
-
-// Angle 2, which turns the point x to where axis 1 can turn it to the goal.
-Roots PointEquation::middle_angles(Vec3 x) const {
-    const auto& [f1, p1] = lines[0];
-    const auto& [f2, p2] = lines[1];
-    const Vec3 to_goal = goal - p1;
-    const Vec3 r = x - p2;
-    if (relation == AxesRelation::meet) {
-        const double height = dot(f1, to_goal) - dot(f1, f2) * dot(f2, r);
-        return linear_roots(dot(f1, across(f2, r)), dot(f1, cross(f2, r)), height, slack, preferred[1]);
-    }
-    if (relation == AxesRelation::parallel) {
-        const Vec3 w = across(f1, p2 - p1);
-        const Vec3 arm = across(f1, r);
-        const Vec3 end = across(f1, to_goal);
-        const double square = 0.5 * (dot(end, end) - dot(w, w) - dot(arm, arm));
-        return linear_roots(dot(w, arm), dot(w, cross(f2, arm)), square, slack, preferred[1]);
-    }
-    const Vec3 w = p2 - p1;
-    const Vec3 side = across(f2, f1);
-    const double height = dot(f1, to_goal) - dot(f1, f2) * dot(f2, r);
-    const double square = 0.5 * (dot(to_goal, to_goal) - dot(w, w) - dot(r, r));
-    const Vec3 end = (height / dot(side, side)) * side + (square / dot(w, w)) * w;
-    const Angle angle = angle_between(f2, r, end, preferred[1]);
-    return {.angles = {angle.value}, .count = 1, .doubtful = angle.undetermined};
-}
-
-LoopAngles PointEquation::solve() {
-    const Line& third = lines[2];
-    const Vec3 centre = third.point + dot(third.axis, start - third.point) * third.axis;
-    const Vec3 u = start - centre;
-    const Vec3 v = cross(third.axis, u);
-    if (relation == AxesRelation::neither) {
-        const auto feet = common_normal(lines[0], lines[1]);
-        lines[0].point = feet[0];
-        lines[1].point = feet[1];
-    }
-    const Roots last = last_angles(centre, u, v);
-    LoopAngles loop;
-    loop.doubtful = last.doubtful;
+    LoopAngles loop{.doubtful = last.doubtful};
     for (size_t i = 0; i < last.count; ++i) {
         const Turn turn(last.angles[i]);
         const Vec3 x = centre + (turn.cos * u + turn.sin * v);
-        const Roots middle = middle_angles(x);
-        loop.doubtful = loop.doubtful || middle.doubtful;
-        for (size_t k = 0; k < middle.count; ++k) {
-            const Vec3 y = moved(lines[1], Turn(middle.angles[k]), x);
-            const Angle angle = angle_between(lines[0].axis, y - lines[0].point, goal - lines[0].point, preferred[0]);
-            loop.doubtful = loop.doubtful || angle.undetermined;
-            loop.add({angle.value, middle.angles[k], last.angles[i]});
-        }
+        const PairAngles pair = pair_angles(lines[0], lines[1], relation, x, goal, slack, {preferred[0], preferred[1]});
+        loop.doubtful = loop.doubtful || pair.doubtful;
+        for (size_t k = 0; k < pair.count; ++k) { loop.add({pair.angles[k][0], pair.angles[k][1], last.angles[i]}); }
     }
     return loop;
 }
@@ -179,8 +167,6 @@ struct Column {
     double turn;
     double height;
 };
-
-double determinant(Column a, Column b) { return a.turn * b.height - b.turn * a.height; }
 
 // E_1 E_2 E_3 turns the direction u into h and keeps the heights along them.
 //
@@ -210,42 +196,19 @@ LoopAngles PlaneEquation::solve() const {
     const Column sin[2] = {{dot(f2, cross(f1, h)), dot(h, cross(f1, r1))}, {dot(f2, cross(f3, u)), dot(u, cross(f3, r3))}};
     const Column rest = {dot(f2, f1) * dot(f1, h) - dot(f2, f3) * dot(f3, u),
                          offset + dot(u, p3) - dot(h, p1) + dot(u, f3) * dot(f3, r3) - dot(h, f1) * dot(f1, r1)};
-    const bool is_quartic = relation == AxesRelation::neither;
-    // If two axes meet or are parallel, this equation holds only one angle, and `remaining` gives the other.
+    // One of the equations holds only one angle, and `remaining` gives the other.
     double Column::* const decisive = relation == AxesRelation::meet ? &Column::height : &Column::turn;
     double Column::* const remaining = relation == AxesRelation::meet ? &Column::turn : &Column::height;
-    // The angle that is found first: 0 is angle 1, and 1 is angle 3.
-    const bool is_last = is_quartic ? std::abs(determinant(cos[0], sin[0])) >= std::abs(determinant(cos[1], sin[1])) : pair_first == 0;
-    const size_t one = is_last ? 1 : 0;
+    const size_t one = pair_first == 0 ? 1 : 0;  // that angle: 0 is angle 1, and 1 is angle 3
     const size_t other = 1 - one;
-    const double det = determinant(cos[other], sin[other]);
+    const Roots found = linear_roots(cos[one].*decisive, sin[one].*decisive, rest.*decisive, slack, preferred[2 * one]);
     LoopAngles loop;
-    Roots found;
-    if (is_quartic && std::abs(det) < TINY) {
-        found.doubtful = true;
-    } else if (is_quartic) {
-        TrigonometricForm form{.constant = -det * det};
-        for (const Column& column : {cos[other], sin[other]}) {
-            // det times the sine, and det times the cosine of the other angle (Cramer).
-            form.add_square(determinant(column, rest), -determinant(column, cos[one]), -determinant(column, sin[one]), 1.0);
-        }
-        found = trigonometric_roots(form, slack);
-    } else {
-        found = linear_roots(cos[one].*decisive, sin[one].*decisive, rest.*decisive, slack, preferred[2 * one]);
-    }
     loop.doubtful = found.doubtful;
     for (size_t i = 0; i < found.count; ++i) {
         const auto [c, s] = Turn(found.angles[i]);
-        const Column left{rest.turn - cos[one].turn * c - sin[one].turn * s, rest.height - cos[one].height * c - sin[one].height * s};
-        Roots others;
-        if (is_quartic) {
-            others.angles[0] =
-                std::atan2(determinant(cos[other], left) / det, (left.turn * sin[other].height - left.height * sin[other].turn) / det);
-            others.count = 1;
-        } else {
-            others = linear_roots(cos[other].*remaining, sin[other].*remaining, left.*remaining, slack, preferred[2 * other]);
-            loop.doubtful = loop.doubtful || others.doubtful;
-        }
+        const double left = rest.*remaining - cos[one].*remaining * c - sin[one].*remaining * s;
+        const Roots others = linear_roots(cos[other].*remaining, sin[other].*remaining, left, slack, preferred[2 * other]);
+        loop.doubtful = loop.doubtful || others.doubtful;
         for (size_t k = 0; k < others.count; ++k) {
             const double angle1 = other == 0 ? others.angles[k] : found.angles[i];
             const double angle3 = other == 0 ? found.angles[i] : others.angles[k];
@@ -259,20 +222,16 @@ LoopAngles PlaneEquation::solve() const {
 
 // The special joints whose axes meet, from where E_a E_b E_c brings the axes b and c.
 SpecialAngles meeting_angles(std::span<const Line, 3> lines, Vec3 moved_b, Vec3 moved_c, const Triple& preferred, double slack) {
-    const Vec3 a = lines[0].axis;
-    const Vec3 b = lines[1].axis;
+    const Line a{lines[0].axis, {}};
+    const Line b{lines[1].axis, {}};
     const Vec3 c = lines[2].axis;
-    const double height = dot(a, moved_c) - dot(a, b) * dot(b, c);
-    const Roots middle = linear_roots(dot(a, across(b, c)), dot(a, cross(b, c)), height, slack, preferred[1]);
-    SpecialAngles special{.doubtful = middle.doubtful};
-    for (size_t k = 0; k < middle.count; ++k) {
-        const Turn turn(middle.angles[k]);
-        const Angle first = angle_between(a, turned(b, turn, c), moved_c, preferred[0]);
-        special.doubtful = special.doubtful || first.undetermined;
-        const Vec3 back = turned(b, turn.back(), turned(a, Turn(first.value).back(), moved_b));
+    const PairAngles pair = pair_angles(a, b, AxesRelation::meet, c, moved_c, slack, {preferred[0], preferred[1]});
+    SpecialAngles special{.doubtful = pair.doubtful};
+    for (size_t k = 0; k < pair.count; ++k) {
+        const auto [first, middle] = pair.angles[k];
+        const Vec3 back = turned(b.axis, Turn(middle).back(), turned(a.axis, Turn(first).back(), moved_b));
         // Where the third angle is undetermined, the middle one is doubtful already.
-        const Angle last = angle_between(c, b, back, preferred[2]);
-        special.add({first.value, middle.angles[k], last.value});
+        special.add({first, middle, angle_between(c, b.axis, back, preferred[2]).value});
     }
     return special;
 }
@@ -281,19 +240,13 @@ SpecialAngles meeting_angles(std::span<const Line, 3> lines, Vec3 moved_b, Vec3 
 SpecialAngles parallel_angles(std::span<const Line, 3> lines, Vec3 moved_point, Vec3 w, Vec3 moved_w, const Triple& preferred,
                               double slack) {
     const Vec3 a = lines[0].axis;
-    const Vec3 b = lines[1].axis;
-    const Vec3 r = across(a, lines[2].point - lines[1].point);
-    const Vec3 to_c = across(a, moved_point - lines[0].point);
     const Angle whole = angle_between(a, w, moved_w, 0.0);
-    const double square = 0.5 * (dot(to_c, to_c) - dot(w, w) - dot(r, r));
-    const Roots middle = linear_roots(dot(w, r), dot(w, cross(b, r)), square, slack, preferred[1]);
-    SpecialAngles special{.doubtful = whole.undetermined || middle.doubtful};
-    for (size_t k = 0; k < middle.count; ++k) {
-        const double angle = middle.angles[k];
-        const Vec3 arm = w + turned(b, Turn(angle), r);
-        const Angle first = angle_between(a, arm, to_c, preferred[0]);
-        special.doubtful = special.doubtful || first.undetermined;
-        special.add({first.value, angle, dot(a, lines[2].axis) * (whole.value - first.value - dot(a, b) * angle)});
+    const PairAngles pair =
+        pair_angles(lines[0], lines[1], AxesRelation::parallel, lines[2].point, moved_point, slack, {preferred[0], preferred[1]});
+    SpecialAngles special{.doubtful = whole.undetermined || pair.doubtful};
+    for (size_t k = 0; k < pair.count; ++k) {
+        const auto [first, middle] = pair.angles[k];
+        special.add({first, middle, dot(a, lines[2].axis) * (whole.value - first - dot(a, lines[1].axis) * middle)});
     }
     return special;
 }
@@ -321,9 +274,7 @@ LoopAngles SixHinges::loop_angles(const Pose& X, const std::array<Line, 3>& loop
         return PlaneEquation{loop, axis, X.rotation.inverse_times(axis), offset, relation, special.pair_first, slack, preferred}.solve();
     }
     const Vec3 start = X.rotation.inverse_times(point - X.translation);
-    if (relation == AxesRelation::neither || special.pair_first == 0) {
-        return PointEquation{loop, start, point, relation, slack, preferred}.solve();
-    }
+    if (special.pair_first == 0) { return PointEquation{loop, start, point, relation, slack, preferred}.solve(); }
     // The last two are the pair: the chain is gone through backwards.
     const auto reversed = [&loop](size_t k) { return Line{-1.0 * loop[k].axis, loop[k].point}; };
     const Triple preferred_back{preferred[2], preferred[1], preferred[0]};

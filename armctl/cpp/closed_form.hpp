@@ -1,4 +1,4 @@
-// The closed form of six hinges of which three in a row meet in a point or are parallel.
+// The closed form of six hinges of which three in a row, and two neighbours of the others, meet in a point or are parallel.
 //
 // E_k are the joints' motions about their axes in the zero configuration, and X is the target's pose times the inverse of the
 // tip's pose in the zero configuration: E_1 E_2 ... E_6 = X. This loop may begin at any joint: an axis moved from its front to
@@ -8,12 +8,12 @@
 //     (E_a E_b E_c)^-1 = E_f E_g E_h X^-1.
 //
 // If the axes a, b, c meet in a point, both sides leave this point where it is; if they are parallel, both sides leave their
-// direction and the heights along it as they are. These are three equations for the other three joints, which have two to four
-// solutions. Then E_a E_b E_c is known, and each time two configurations of the special joints remain. The first three
-// equations are a quadratic equation after another if two neighbours of f, g, h meet or are parallel, otherwise a quartic one.
+// direction and the heights along it as they are. These are three equations for the other three joints. If two neighbours of
+// them meet or are parallel, one quadratic equation after another solves these, with up to four solutions. Then E_a E_b E_c is
+// known, and each time two configurations of the special joints remain.
 //
 // Sources: Pieper, "The kinematics of manipulators under computer control", 1968; Elias and Wen, "IK-Geo: unified robot inverse
-// kinematics using subproblem decomposition", Mech. Mach. Theory 209, 2025, whose subproblems 1 to 6 are used here.
+// kinematics using subproblem decomposition", Mech. Mach. Theory 209, 2025, whose subproblems 1 to 4 are used here.
 //
 // Seven hinges are swept: one of them is held at sampled positions, and the other six have a closed form.
 #pragma once
@@ -36,7 +36,7 @@ struct ZeroConfiguration {
     std::optional<size_t> held;  // the joint that is swept, of seven
 };
 
-inline constexpr size_t MAX_CONFIGURATIONS = 16;  // of six joints: eight of the first three, and two for each of them
+inline constexpr size_t MAX_CONFIGURATIONS = 8;  // of six joints: four of the first three, and two for each of them
 
 // The positions of the swept joint, and when the sweep ends. Six joints have one position, which means nothing.
 struct Sweep {
@@ -60,7 +60,8 @@ public:
 
     const Chain& chain() const { return *chain_; }
 
-    // Fills `seeds` (M, n) with the configurations inside the bounds, up to `margin`, for a target in m.
+    // Fills `seeds` (M, n) with the configurations inside the bounds, up to `margin`, rad, for a target in m. `slack`, in cosines, is
+    // what the closed form may miss by rounding, or because it is not exact.
     Seeds find(const Pose& target, Vector q0, double slack, double margin, const Sweep& sweep, MatrixResult seeds) const;
 
 private:

@@ -18,22 +18,12 @@ struct MovingFrame {
     double reference = 0.0;
     size_t parent = 0;
     size_t joint = 0;
-    size_t depth = 0;  // frames above it, the world included
 };
 
 struct CollisionPair {
     size_t a = 0;
     size_t b = 0;
     size_t common = 0;  // the last frame above both
-};
-
-// The pairs of two groups of geoms.
-struct GroupPair {
-    size_t a = 0;  // the sphere of the group
-    size_t b = 0;
-    size_t first_pair = 0;
-    size_t last_pair = 0;
-    size_t common = 0;
 };
 
 // Rows where the lists of `elements` start, and behind them the `end` of the last one.
@@ -51,9 +41,8 @@ class CollisionModel {
 public:
     // From arrays for each of the m joints that move, parents before children, which are hinges or slides with an axis and an
     // anchor on it and a reference position, and move the frame of their own number + 1; for each of the G geoms and P vertices;
-    // for each of the S bounding spheres, of the geoms and of groups; and for the K pairs, in the order of the R pairs of groups to
-    // which they belong. All geoms of a moving frame are one group, each geom that stands is its own. In a pair, a plane comes
-    // first, else the geom that has fewer joints above it. The positions of all joints are `ratio` (m, n) q + `joint_offset`.
+    // and for the K pairs. In a pair, a plane comes first, else the geom that has fewer joints above it. The positions of all
+    // joints are `ratio` (m, n) q + `joint_offset`.
     explicit CollisionModel(const Arguments& arguments)
         : ratio_(arguments.length("references"), arguments.count("n")), joint_offset_(ratio_.rows()) {
         const size_t m = ratio_.rows();
@@ -62,7 +51,6 @@ public:
         add_frames(arguments);
         add_vertices(arguments);
         add_geoms(arguments);
-        add_spheres(arguments);
         add_pairs(arguments);
         const Matrix given = arguments.matrix(arguments.length("directions"), 3, "directions");
         for (size_t i = 0; i < given.rows; ++i) { directions.push_back(vec3(given.row(i))); }
@@ -81,11 +69,12 @@ public:
     }
 
     // The derivatives by the n of what has derivatives (m,) by all joints.
-    void reduce_gradient(Vector all, Result gradient) const {
-        for (size_t j = 0; j < gradient.size(); ++j) {
-            gradient[j] = 0.0;
+    Numbers reduced_gradient(Vector all) const {
+        Numbers gradient(n());
+        for (size_t j = 0; j < n(); ++j) {
             for (size_t i = 0; i < all.size(); ++i) { gradient[j] += all[i] * ratio(i, j); }
         }
+        return gradient;
     }
 
     double ratio(size_t joint, size_t i) const { return ratio_(joint, i); }
@@ -93,12 +82,7 @@ public:
     std::vector<MovingFrame> frames;
     std::vector<Geom> geoms;
     Vertices vertices;
-    // Of the geoms and, behind them, of the groups; the frame of each.
-    std::vector<BoundingSphere> spheres;
-    std::vector<size_t> sphere_frames;
-    std::vector<CollisionPair> pairs;  // in the order of their groups
-    std::vector<GroupPair> groups;
-    size_t depth = 1;              // frames above the deepest one, the world included
+    std::vector<CollisionPair> pairs;
     std::vector<Vec3> directions;  // in which the depth of an overlap is measured first
 
 private:
@@ -116,8 +100,6 @@ private:
             frame = {vec3(axes.row(i)), vec3(anchors.row(i)), slides[i] != 0, references[i]};
             frame.parent = checked_index(parents[i], i + 1, "parents");
             frame.joint = checked_index(rows[i], m, "joints");
-            frame.depth = 1 + frames[frame.parent].depth;
-            depth = std::max(depth, 1 + frame.depth);
         }
     }
 
@@ -141,6 +123,8 @@ private:
         const Matrix positions = arguments.matrix(count, 3, "positions");
         const Matrix rotations{arguments.shaped({count, 3, 3}, "rotations").data(), count, 9};
         const Matrix sizes = arguments.matrix(count, 3, "sizes");
+        const Matrix centers = arguments.matrix(count, 3, "centers");  // of bounding spheres
+        const Vector radii = arguments.vector(count, "radii");
         for (size_t g = 0; g < count; ++g) {
             Geom geom{static_cast<ShapeKind>(checked_index(kinds[g], 5, "kinds")),
                       checked_index(rows[g], frames.size(), "frames"),
@@ -148,24 +132,14 @@ private:
                       vec3(positions.row(g)),
                       Rotation::from_rows(rotations.row(g)),
                       vec3(sizes.row(g)),
+                      vec3(centers.row(g)),
+                      radii[g],
                       starts[g],
                       starts[g + 1]};
             geom.semi_axes = {geom.size.x * geom.axes.x, geom.size.y * geom.axes.y, geom.size.z * geom.axes.z};
             geom.offset = dot(geom.normal(), geom.position);
             if (geom.has_vertices() && geom.first_vertex == geom.last_vertex) { throw InputError("first_vertex: a hull without vertices"); }
             geoms.push_back(geom);
-        }
-    }
-
-    void add_spheres(const Arguments& arguments) {
-        const size_t count = arguments.length("radii");
-        if (count < geoms.size()) { throw InputError("radii: need a sphere for each geom"); }
-        const Vector radii = arguments.vector(count, "radii");
-        const Matrix centers = arguments.matrix(count, 3, "centers");
-        const Integers rows = arguments.integers(count, "sphere_frames");
-        for (size_t i = 0; i < count; ++i) {
-            spheres.push_back({vec3(centers.row(i)), radii[i]});
-            sphere_frames.push_back(checked_index(rows[i], frames.size(), "sphere_frames"));
         }
     }
 
@@ -177,18 +151,6 @@ private:
             const size_t a = checked_index(first_geoms[p], geoms.size(), "first_geoms");
             const size_t b = checked_index(second_geoms[p], geoms.size(), "second_geoms");
             pairs.push_back({a, b, common_frame(geoms[a].frame, geoms[b].frame)});
-        }
-        const size_t R = arguments.length("last_pairs");
-        const Integers first_spheres = arguments.integers(R, "first_spheres");
-        const Integers second_spheres = arguments.integers(R, "second_spheres");
-        const Integers last_pairs = arguments.integers(R, "last_pairs");  // behind the last one of each
-        size_t first = 0;
-        for (size_t r = 0; r < R; ++r) {
-            const size_t a = checked_index(first_spheres[r], spheres.size(), "first_spheres");
-            const size_t b = checked_index(second_spheres[r], spheres.size(), "second_spheres");
-            const size_t last = checked_index(last_pairs[r], K + 1, "last_pairs");
-            groups.push_back({a, b, first, last, common_frame(sphere_frames[a], sphere_frames[b])});
-            first = last;
         }
     }
 

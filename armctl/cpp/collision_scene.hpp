@@ -44,6 +44,13 @@ struct PairDistance {
     double distance;  // m
 };
 
+// A pair, its distance, m, which is negative if it overlaps, and the derivatives (n,) by the positions of the joints.
+struct NearPair {
+    size_t pair;
+    double distance;
+    Numbers gradient;
+};
+
 // An axis that keeps its direction.
 struct KeptAxis {
     size_t frame = 0;
@@ -52,31 +59,21 @@ struct KeptAxis {
     double within = 0.0;  // rad
 };
 
-// One object for each thread: it holds the scratch memory of its queries, and what they found starts the next ones.
+// One object for each thread: it holds the scratch memory of its queries.
 class CollisionScene {
 public:
     explicit CollisionScene(std::shared_ptr<const CollisionModel> model)
-        : model_(std::move(model)), memory_(model_->pairs.size()), last_hit_(model_->pairs.size()), frames_(model_->frames.size()),
-          spheres_(model_->spheres.size()), motions_(model_->spheres.size() * model_->depth),
-          near_gradients_(model_->pairs.size() * model_->joints()) {}
+        : model_(std::move(model)), frames_(model_->frames.size()), centers_(model_->geoms.size()),
+          motions_(model_->geoms.size(), model_->frames.size()) {}
 
     const CollisionModel& model() const { return *model_; }
     // What stands for no pair.
     size_t no_pair() const { return model_->pairs.size(); }
 
-    // Forgets what earlier queries found; later results then do not depend on them.
-    void forget() {
-        std::fill(memory_.begin(), memory_.end(), PairMemory{});
-        last_hit_ = no_pair();
-    }
-
     // Places all frames and bounding spheres at the positions of all joints, (m,) rad.
     void place(Vector positions) {
         place_frames(positions);
-        for (size_t i = 0; i < spheres_.size(); ++i) {
-            spheres_[i].center = frames_[model_->sphere_frames[i]].pose * model_->spheres[i].center;
-            spheres_[i].has_motion = false;
-        }
+        for (size_t g = 0; g < centers_.size(); ++g) { centers_[g] = frames_[model_->geoms[g].frame].pose * model_->geoms[g].center; }
     }
 
     void place_frames(Vector positions) {
@@ -100,95 +97,65 @@ public:
     // A pair that is not farther apart than the clearance, or `no_pair`. Places the joints.
     size_t first_hit(Vector positions, double clearance) {
         place(positions);
-        if (last_hit_ != no_pair() && touches(last_hit_, clearance)) { return last_hit_; }
-        for (const GroupPair& group : model_->groups) {
-            if (gap(group.a, group.b) > clearance) { continue; }
-            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-                if (touches(p, clearance)) {
-                    expect_hit(p);
-                    return p;
-                }
-            }
+        for (size_t p = 0; p < no_pair(); ++p) {
+            if (touches(p, clearance)) { return p; }
         }
         return no_pair();
     }
 
-    // The next `first_hit` begins with this pair.
-    void expect_hit(size_t pair) { last_hit_ = pair; }
     // Marks every such pair, (K,). Places the joints.
     void all_hits(Vector positions, double clearance, std::span<std::int64_t> hits) {
         place(positions);
-        for (const GroupPair& group : model_->groups) {
-            const bool is_far = gap(group.a, group.b) > clearance;
-            for (size_t p = group.first_pair; p < group.last_pair; ++p) { hits[p] = !is_far && touches(p, clearance); }
-        }
+        for (size_t p = 0; p < no_pair(); ++p) { hits[p] = touches(p, clearance); }
     }
 
     // The pair that is nearest to touching; a distance at or below zero says that it overlaps. Places the joints.
     PairDistance nearest_pair(Vector positions) {
         place(positions);
         PairDistance nearest{no_pair(), INFINITE_M};
-        for (const GroupPair& group : model_->groups) {
-            if (gap(group.a, group.b) > nearest.distance) { continue; }
-            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-                if (gap(model_->pairs[p].a, model_->pairs[p].b) > nearest.distance) { continue; }
-                const double upper = distance(p, {.enough = nearest.distance, .touching = -INFINITE_M, .is_exact = true}).upper;
-                if (upper < nearest.distance) { nearest = {p, upper}; }
-            }
+        for (size_t p = 0; p < no_pair(); ++p) {
+            if (gap(p) > nearest.distance) { continue; }
+            const double upper = distance(p, {.enough = nearest.distance, .touching = -INFINITE_M, .is_exact = true}).upper;
+            if (upper < nearest.distance) { nearest = {p, upper}; }
         }
         return nearest;
     }
 
-    // How far the second geom of a pair must move to part from the first, at most. Places the joints.
-    double overlap_depth(Vector positions, size_t pair) {
-        place(positions);
-        return -witness(pair).distance;
-    }
-
     // The pairs that joints, moving by at most delta (m,), can bring nearer by more than a share of what is free, which is their
     // distance less their clearance (K,). Places the joints.
-    void find_near_pairs(Vector positions, Vector delta, double share, Vector clearances) {
-        near_pairs_.clear();
+    std::vector<NearPair> near_pairs(Vector positions, Vector delta, double share, Vector clearances) {
+        std::vector<NearPair> near;
         place(positions);
-        const size_t joints = model_->joints();
-        for (const GroupPair& group : model_->groups) {
-            const double group_motion = relative_motion(group.a, group.b, group.common, delta);
-            const double group_gap = gap(group.a, group.b);
-            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-                if (share * (group_gap - clearances[p]) >= group_motion) { continue; }
-                const CollisionPair& pair = model_->pairs[p];
-                const double pair_motion = relative_motion(pair.a, pair.b, pair.common, delta);
-                if (share * (gap(pair.a, pair.b) - clearances[p]) >= pair_motion) { continue; }
-                const double enough = clearances[p] + pair_motion / share;
-                if (distance(p, {.enough = enough, .touching = -INFINITE_M}).lower >= enough) { continue; }
-                const Witness nearest = witness(p);
-                const Result gradient(near_gradients_.data() + near_pairs_.size() * joints, joints);
-                write_distance_gradient(p, nearest, gradient);
-                double approach = 0.0;
-                for (size_t j = 0; j < joints; ++j) { approach += std::abs(gradient[j]) * delta[j]; }
-                if (share * (nearest.distance - clearances[p]) < approach) { near_pairs_.push_back({p, nearest.distance}); }
+        bound_motions(delta);
+        for (size_t p = 0; p < no_pair(); ++p) {
+            const double pair_motion = relative_motion(p);
+            if (share * (gap(p) - clearances[p]) >= pair_motion) { continue; }
+            const double enough = clearances[p] + pair_motion / share;
+            if (distance(p, {.enough = enough, .touching = -INFINITE_M}).lower >= enough) { continue; }
+            const Witness nearest = witness(p);
+            const Numbers gradient = distance_gradient(p, nearest);
+            double approach = 0.0;
+            for (size_t j = 0; j < gradient.size(); ++j) { approach += std::abs(gradient[j]) * delta[j]; }
+            if (share * (nearest.distance - clearances[p]) < approach) {
+                near.push_back({p, nearest.distance, model_->reduced_gradient(gradient)});
             }
         }
+        return near;
     }
-
-    // What it found; distances are negative where pairs overlap.
-    const std::vector<PairDistance>& near_pairs() const { return near_pairs_; }
-    // (m,) the derivative of the distance of a near pair by each joint.
-    Vector near_gradient(size_t index) const { return {near_gradients_.data() + index * model_->joints(), model_->joints()}; }
 
     // The following are evaluated where the joints are placed.
 
     // Whether a pair is not farther apart than the clearance.
-    bool touches(size_t p, double clearance) {
-        if (gap(model_->pairs[p].a, model_->pairs[p].b) > clearance) { return false; }
+    bool touches(size_t p, double clearance) const {
+        if (gap(p) > clearance) { return false; }
         return distance(p, {.enough = clearance + STRICTLY_M, .touching = clearance}).lower <= clearance;
     }
 
-    DistanceBounds distance(size_t p, const DistanceGoal& goal) {
+    DistanceBounds distance(size_t p, const DistanceGoal& goal) const {
         const Geom& first = model_->geoms[model_->pairs[p].a];
         const Geom& second = model_->geoms[model_->pairs[p].b];
         if (first.kind == ShapeKind::plane) {
-            const double height = plane_distance(p);
+            const double height = plane_witness(first, second).distance;
             return {height, height};
         }
         const Pose relative = frames_[second.frame].pose.seen_from(frames_[first.frame].pose);
@@ -199,11 +166,8 @@ public:
             const double square = dot(v, v);
             const double length = std::sqrt(square);
             const double projection = dot(v, support);
-            if (projection / length - inflation > bounds.lower) {
-                bounds.lower = projection / length - inflation;
-                memory_[p].direction = v;
-                if (bounds.lower >= goal.enough) { return true; }
-            }
+            bounds.lower = std::max(bounds.lower, projection / length - inflation);
+            if (bounds.lower >= goal.enough) { return true; }
             if (simplex.size() == 0) { return false; }
             bounds.upper = std::min(bounds.upper, length - inflation);
             const bool is_between = bounds.lower > goal.touching && bounds.upper < goal.enough;
@@ -214,39 +178,49 @@ public:
         return bounds;
     }
 
-    // A lower bound of the distance of two bounding spheres, of geoms or of groups; of a box or a plane and a sphere.
-    double gap(size_t a, size_t b) const {
-        const Vec3 center = spheres_[b].center;
-        const double radius = model_->spheres[b].radius;
-        if (a < model_->geoms.size()) {
-            const Geom& first = model_->geoms[a];
-            if (first.kind == ShapeKind::plane) { return dot(first.normal(), center) - first.offset - radius; }
-            if (first.kind == ShapeKind::box && first.frame == 0) {
-                const Vec3 inside = first.axes.inverse_times(center - first.position);
-                const Vec3 outside = {std::max(std::abs(inside.x) - first.size.x, 0.0), std::max(std::abs(inside.y) - first.size.y, 0.0),
-                                      std::max(std::abs(inside.z) - first.size.z, 0.0)};
-                return norm(outside) - radius;
-            }
-        }
-        return norm(spheres_[a].center - center) - model_->spheres[a].radius - radius;
-    }
-
-    // Bounds how far any point of one geom or group moves as the other sees it, while joint j moves by at most delta[j].
-    double relative_motion(size_t a, size_t b, size_t common, Vector delta) {
-        for (const size_t sphere : {b, a}) {
-            if (!spheres_[sphere].has_motion) { bound_motions(sphere, delta); }
-        }
-        const size_t common_depth = model_->frames[common].depth;
-        return motion(a, common_depth) + motion(b, common_depth);
-    }
-
-    // Bounds it along the direction that separates a pair.
-    double separating_motion(size_t p, Vector delta) const {
+    // A lower bound of the distance of a pair: of two bounding spheres, or of a box or a plane and a sphere.
+    double gap(size_t p) const {
         const CollisionPair& pair = model_->pairs[p];
-        const Vec3 direction = memory_[p].direction;
-        const double scale = 1.0 / norm(direction);
-        const Vec3 normal = frames_[model_->geoms[pair.a].frame].pose.rotation * (scale * direction);
-        return motion_along(pair.a, pair.common, normal, delta) + motion_along(pair.b, pair.common, normal, delta);
+        const Geom& first = model_->geoms[pair.a];
+        const Vec3 center = centers_[pair.b];
+        const double radius = model_->geoms[pair.b].radius;
+        if (first.kind == ShapeKind::plane) { return dot(first.normal(), center) - first.offset - radius; }
+        if (first.kind == ShapeKind::box && first.frame == 0) {
+            const Vec3 inside = first.axes.inverse_times(center - first.position);
+            const Vec3 outside = {std::max(std::abs(inside.x) - first.size.x, 0.0), std::max(std::abs(inside.y) - first.size.y, 0.0),
+                                  std::max(std::abs(inside.z) - first.size.z, 0.0)};
+            return norm(outside) - radius;
+        }
+        return norm(centers_[pair.a] - center) - first.radius - radius;
+    }
+
+    // Bounds how far any point of each geom moves as the frames above it see it, while joint j moves by at most delta[j].
+    //
+    // Change the joints from the base outward: joint j then turns the geom about its axis at the center of the interval, and a
+    // point at the distance r from the axis moves by at most delta[j] r.
+    void bound_motions(Vector delta) {
+        for (size_t geom = 0; geom < centers_.size(); ++geom) {
+            double total = 0.0;
+            size_t walk = model_->geoms[geom].frame;
+            for (; walk > 0; walk = model_->frames[walk].parent) {
+                motions_(geom, walk) = total;
+                const MovingFrame& moving = model_->frames[walk];
+                const double step = delta[moving.joint];
+                if (moving.slides) {
+                    total += step;
+                } else if (step > 0.0) {
+                    const Vec3 lever = cross(centers_[geom] - frames_[walk].anchor, frames_[walk].axis);
+                    total += step * (norm(lever) + model_->geoms[geom].radius);
+                }
+            }
+            motions_(geom, 0) = total;
+        }
+    }
+
+    // The bounded motion of any point of one geom of a pair as the other sees it.
+    double relative_motion(size_t p) const {
+        const CollisionPair& pair = model_->pairs[p];
+        return motions_(pair.a, pair.common) + motions_(pair.b, pair.common);
     }
 
     // The angle between the axis and the direction that it should keep, rad.
@@ -268,18 +242,6 @@ public:
     const PlacedFrame& frame(size_t index) const { return frames_[index]; }
 
 private:
-    // What the last query of a pair found.
-    struct PairMemory {
-        Vec3 direction;  // in the frame of the first geom
-        size_t vertex_a = Vertices::NONE;
-        size_t vertex_b = Vertices::NONE;
-    };
-
-    struct PlacedSphere {
-        Vec3 center;
-        bool has_motion = false;
-    };
-
     // The nearest points of a pair, or points at the same distance along the direction from the first to the second.
     struct Witness {
         double distance;
@@ -288,12 +250,10 @@ private:
         Vec3 on_second;
     };
 
-    // The direction that the last query found, or else from center to center, in the frame of the first geom.
+    // The direction from center to center, in the frame of the first geom.
     Vec3 first_direction(size_t p) const {
-        const Vec3 last = memory_[p].direction;
-        if (dot(last, last) > NO_DIRECTION_M2) { return last; }
         const CollisionPair& pair = model_->pairs[p];
-        const Vec3 between = spheres_[pair.a].center - spheres_[pair.b].center;
+        const Vec3 between = centers_[pair.a] - centers_[pair.b];
         if (dot(between, between) < NO_DIRECTION_M2) { return {1.0, 0.0, 0.0}; }
         return frames_[model_->geoms[pair.a].frame].pose.rotation.inverse_times(between);
     }
@@ -305,22 +265,17 @@ private:
         return model_->vertices.positions[vertex];
     }
 
-    // The support point of the difference of both geoms against a direction, in the frame of the first.
-    SupportPoint difference_support(size_t p, Vec3 direction, const Pose& relative) {
-        const CollisionPair& pair = model_->pairs[p];
-        PairMemory& memory = memory_[p];
-        const Vec3 first = support_point(model_->geoms[pair.a], -direction, memory.vertex_a);
-        const Vec3 second = support_point(model_->geoms[pair.b], relative.rotation.inverse_times(direction), memory.vertex_b);
-        return {first - relative * second, first};
-    }
-
     // GJK in the frame of the first geom, until a function of the closest point and of the support point against it says that
     // this is enough, or there is no progress. Nothing where the hulls overlap, not only their inflated shapes.
     template <class IsDecided>
-    std::optional<Vec3> closest_point(size_t p, const Pose& relative, Simplex& simplex, IsDecided is_decided) {
+    std::optional<Vec3> closest_point(size_t p, const Pose& relative, Simplex& simplex, IsDecided is_decided) const {
         Vec3 v = first_direction(p);
+        size_t vertex_a = Vertices::NONE;
+        size_t vertex_b = Vertices::NONE;
         for (int step = 0; step < MAX_GJK_STEPS; ++step) {
-            const SupportPoint support = difference_support(p, v, relative);
+            const Vec3 on_first = support_point(model_->geoms[model_->pairs[p].a], -v, vertex_a);
+            const Vec3 on_second = support_point(model_->geoms[model_->pairs[p].b], relative.rotation.inverse_times(v), vertex_b);
+            const SupportPoint support{on_first - relative * on_second, on_first};
             if (is_decided(v, support.difference) || simplex.contains(support.difference)) { break; }
             simplex.add(support);
             const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
@@ -328,72 +283,6 @@ private:
             v = *closest;
         }
         return v;
-    }
-
-    double plane_distance(size_t p) {
-        const Geom& plane = model_->geoms[model_->pairs[p].a];
-        const Geom& other = model_->geoms[model_->pairs[p].b];
-        const Pose& pose = frames_[other.frame].pose;
-        const Vec3 normal = plane.normal();
-        const Vec3 down = pose.rotation.inverse_times(-normal);
-        const Vec3 lowest = support_point(other, down, memory_[p].vertex_b);
-        const Vec3 origin = pose.translation;
-        const double height = -dot(down, lowest) + normal.x * origin.x + normal.y * origin.y + normal.z * origin.z;
-        return height - plane.offset - other.inflation;
-    }
-
-    // Change the joints from the base outward: joint j then turns the geom about its axis at the center of the interval, and a
-    // point at the distance r from the axis moves by at most delta[j] r.
-    void bound_motions(size_t sphere, Vector delta) {
-        PlacedSphere& placed = spheres_[sphere];
-        placed.has_motion = true;
-        const double radius = model_->spheres[sphere].radius;
-        double total = 0.0;
-        size_t walk = model_->sphere_frames[sphere];
-        while (walk > 0) {
-            const MovingFrame& moving = model_->frames[walk];
-            motion(sphere, moving.depth) = total;
-            const double step = delta[moving.joint];
-            if (moving.slides) {
-                total += step;
-            } else if (step > 0.0) {
-                const Vec3 lever = cross(placed.center - frames_[walk].anchor, frames_[walk].axis);
-                total += step * (norm(lever) + radius);
-            }
-            walk = moving.parent;
-        }
-        motion(sphere, 0) = total;
-    }
-
-    double& motion(size_t sphere, size_t depth) { return motions_[sphere * model_->depth + depth]; }
-    // To first order, and a remainder: joint j moves a point x along n by at most delta r, and by
-    // delta |n . (w x (x - o))| + delta r (turns before it + delta / 2): the turns of the joints nearer to the base tilt the
-    // direction, and the arc leaves its tangent.
-    double motion_along(size_t geom, size_t common, Vec3 normal, Vector delta) const {
-        const double radius = model_->spheres[geom].radius;
-        // Of the hinges nearer to the base than the joint in hand; the walk goes from the geom to the base.
-        double turns = 0.0;
-        for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
-            if (!model_->frames[walk].slides) { turns += delta[model_->frames[walk].joint]; }
-        }
-        double total = 0.0;
-        for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
-            const MovingFrame& moving = model_->frames[walk];
-            const double step = delta[moving.joint];
-            if (step <= 0.0) { continue; }
-            const Vec3 axis = frames_[walk].axis;
-            const double along_axis = dot(axis, normal);
-            if (moving.slides) {
-                total += step * std::min(1.0, std::abs(along_axis) + turns);
-                continue;
-            }
-            turns -= step;
-            const Vec3 velocity = cross(axis, spheres_[geom].center - frames_[walk].anchor);
-            const double reach = norm(velocity) + radius;
-            const double tangential = std::abs(dot(normal, velocity)) + radius * std::sqrt(std::max(0.0, 1.0 - along_axis * along_axis));
-            total += step * std::min(reach, tangential + reach * (turns + 0.5 * step));
-        }
-        return total;
     }
 
     // The point of a geom, in the world, that is farthest in a direction of the world.
@@ -411,13 +300,15 @@ private:
         return top - direction.x * lowest.x - direction.y * lowest.y - direction.z * lowest.z;
     }
 
-    Witness witness(size_t p) {
+    Witness plane_witness(const Geom& plane, const Geom& other) const {
+        const Vec3 lowest = farthest_point(other, -plane.normal());
+        return {dot(plane.normal(), lowest) - plane.offset, plane.normal(), lowest, lowest};
+    }
+
+    Witness witness(size_t p) const {
         const Geom& first = model_->geoms[model_->pairs[p].a];
         const Geom& second = model_->geoms[model_->pairs[p].b];
-        if (first.kind == ShapeKind::plane) {
-            const Vec3 lowest = farthest_point(second, -first.normal());
-            return {dot(first.normal(), lowest) - first.offset, first.normal(), lowest, lowest};
-        }
+        if (first.kind == ShapeKind::plane) { return plane_witness(first, second); }
         std::optional<Witness> found = witness_apart(p, {});
         if (!found) { return witness_overlapping(p); }
         found->distance = found->distance - first.inflation - second.inflation;
@@ -425,7 +316,7 @@ private:
     }
 
     // The witness of a pair without its radii, the second geom displaced in the world; nothing where it overlaps.
-    std::optional<Witness> witness_apart(size_t p, Vec3 displacement) {
+    std::optional<Witness> witness_apart(size_t p, Vec3 displacement) const {
         const Pose& pose = frames_[model_->geoms[model_->pairs[p].a].frame].pose;
         Pose relative = frames_[model_->geoms[model_->pairs[p].b].frame].pose.seen_from(pose);
         relative.translation += pose.rotation.inverse_times(displacement);
@@ -444,7 +335,7 @@ private:
     // The direction in which an overlapping pair parts soonest, improved from a lattice: displace the second geom along a
     // direction n until the pair is just apart. Along the direction m of the shortest distance it parts no later than along n: with
     // the displacement s and the distance d, the depth along m is s n.m - d <= s - d.
-    Witness witness_overlapping(size_t p) {
+    Witness witness_overlapping(size_t p) const {
         const Geom& first = model_->geoms[model_->pairs[p].a];
         const double inflation = first.inflation + model_->geoms[model_->pairs[p].b].inflation;
         double depth = INFINITE_M;
@@ -476,10 +367,10 @@ private:
         return best;
     }
 
-    // How fast the nearest points move apart along the direction when a joint moves.
-    void write_distance_gradient(size_t p, const Witness& witness, Result gradient) const {
+    // How fast the nearest points move apart along the direction when a joint moves, (m,).
+    Numbers distance_gradient(size_t p, const Witness& witness) const {
         const CollisionPair& pair = model_->pairs[p];
-        std::fill(gradient.begin(), gradient.end(), 0.0);
+        Numbers gradient(model_->joints());
         for (const bool is_first : {true, false}) {
             const Vec3 point = is_first ? witness.on_first : witness.on_second;
             const double sign = is_first ? -1.0 : 1.0;
@@ -490,16 +381,13 @@ private:
                 gradient[moving.joint] += sign * dot(velocity, witness.direction);
             }
         }
+        return gradient;
     }
 
     std::shared_ptr<const CollisionModel> model_;
-    std::vector<PairMemory> memory_;
-    size_t last_hit_ = 0;
     std::vector<PlacedFrame> frames_;
-    std::vector<PlacedSphere> spheres_;
-    std::vector<double> motions_;  // of each sphere, relative to its ancestor of each depth
-    std::vector<PairDistance> near_pairs_;
-    std::vector<double> near_gradients_;
+    std::vector<Vec3> centers_;  // of the bounding spheres of the geoms
+    DenseMatrix motions_;        // of each geom, as each frame above it sees it
 };
 
 }  // namespace armctl

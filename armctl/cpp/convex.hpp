@@ -18,7 +18,9 @@ struct Geom {
     double inflation = 0.0;  // m
     Vec3 position;
     Rotation axes;
-    Vec3 size;  // half sizes of a box or an ellipsoid; radius and half length of a cylinder
+    Vec3 size;    // half sizes of a box or an ellipsoid; radius and half length of a cylinder
+    Vec3 center;  // of a sphere around it
+    double radius = 0.0;
     // Of a hull and a box.
     size_t first_vertex = 0;
     size_t last_vertex = 0;
@@ -41,29 +43,23 @@ struct Vertices {
 
     // The vertex of a hull that is farthest in a direction; the search of a large hull climbs over its edges from a start.
     size_t farthest(const Geom& hull, Vec3 direction, size_t start) const {
-        if (hull.last_vertex - hull.first_vertex <= LARGE_HULL_VERTICES) {
-            size_t best = hull.first_vertex;
-            double farthest = dot(positions[best], direction);
-            for (size_t i = hull.first_vertex + 1; i < hull.last_vertex; ++i) {
-                const double value = dot(positions[i], direction);
-                if (value > farthest) {
-                    farthest = value;
-                    best = i;
-                }
+        const bool is_large = hull.last_vertex - hull.first_vertex > LARGE_HULL_VERTICES;
+        size_t best = is_large && hull.first_vertex <= start && start < hull.last_vertex ? start : hull.first_vertex;
+        double farthest = dot(positions[best], direction);
+        const auto compare = [&](size_t vertex) {
+            const double value = dot(positions[vertex], direction);
+            if (value > farthest) {
+                farthest = value;
+                best = vertex;
             }
+        };
+        if (!is_large) {
+            for (size_t i = hull.first_vertex + 1; i < hull.last_vertex; ++i) { compare(i); }
             return best;
         }
-        size_t best = hull.first_vertex <= start && start < hull.last_vertex ? start : hull.first_vertex;
-        double farthest = dot(positions[best], direction);
         while (true) {
             const size_t current = best;
-            for (size_t edge = first_neighbors[current]; edge < first_neighbors[current + 1]; ++edge) {
-                const double value = dot(positions[neighbors[edge]], direction);
-                if (value > farthest) {
-                    farthest = value;
-                    best = neighbors[edge];
-                }
-            }
+            for (size_t edge = first_neighbors[current]; edge < first_neighbors[current + 1]; ++edge) { compare(neighbors[edge]); }
             if (best == current) { return best; }
         }
     }
@@ -85,10 +81,5 @@ inline Vec3 round_support_point(const Geom& geom, Vec3 direction) {
     const double scale = length > MIN_LENGTH_M ? 1.0 / length : 0.0;
     return geom.position + scale * (geom.semi_axes * on_unit_sphere);
 }
-
-struct BoundingSphere {
-    Vec3 center;
-    double radius = 0.0;
-};
 
 }  // namespace armctl

@@ -35,15 +35,11 @@ public:
 
     // The goal of a target in m; one that is very far is moved nearer on its line.
     Goal goal(const Pose& target, Constraint constraint) const {
-        const Vec3 p = target.translation;
-        const double reach = chain().reach();
-        const double largest = std::max(std::max(std::abs(p.x), std::abs(p.y)), std::abs(p.z));
-        const double shrink = largest < MAX_SQUARED_LENGTH ? 1.0 : 1.0 / largest;
-        const Vec3 scaled{shrink * p.x / reach, shrink * p.y / reach, shrink * p.z / reach};
-        const Vec3 base = chain().base();
-        const Vec3 away = scaled - shrink * base;
-        const double factor = std::min(1.0 / shrink, MAX_TARGET_REACHES / std::max(norm(away), TINIEST));
-        return {{target.rotation, base + factor * away}, constraint};
+        const auto in_reaches = [this](double length) { return Bounds{-MAX_LENGTH, MAX_LENGTH}.clamp(length / chain().reach()); };
+        const auto [x, y, z] = target.translation;
+        const Vec3 away = Vec3{in_reaches(x), in_reaches(y), in_reaches(z)} - chain().base();
+        const double factor = std::min(1.0, MAX_TARGET_REACHES / std::max(distance(away), TINIEST));
+        return {{target.rotation, chain().base() + factor * away}, constraint};
     }
 
     // The model at q: error, Jacobian of the error, gradient and J^T J. Returns the errors in reaches and rad.
@@ -160,36 +156,14 @@ private:
     // A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
     // rounding.
     static constexpr double MAX_TARGET_REACHES = 1e3;
-    static constexpr double MAX_SQUARED_LENGTH = 1e140;  // m: the square of a greater length may overflow; such numbers are scaled first
-
-    // The rotation vector of half a turn from the tip to the target: about the tip's axis that moves least, or across the free
-    // axis.
-    static Vec3 half_turn(const Goal& goal, const Rotation& tip) {
-        int column = (free_axis(goal.constraint) + 1) % 3;
-        Vec3 axis;
-        if (goal.constraint == Constraint::pose) {
-            double largest = -2.0;
-            for (int k = 0; k < 3; ++k) {
-                const double cos = dot(axis_of(tip, k), axis_of(goal.pose.rotation, k));
-                if (cos > largest) {
-                    column = k;
-                    largest = cos;
-                }
-            }
-            // The middle between the two directions of that axis is on the axis of rotation.
-            axis = axis_of(tip, column) + axis_of(goal.pose.rotation, column);
-        } else {
-            axis = axis_of(tip, column);
-        }
-        return (std::numbers::pi / norm(axis)) * axis;
-    }
+    static constexpr double MAX_LENGTH = 1e307;  // reaches: a greater one overflows
 
     struct State {
         double gradient;
         double step;
-        double best;   // the unknown in the configuration that is kept
-        double rhs;    // right-hand side of the linear system, packed: only free unknowns
-        double pivot;  // inverse diagonal of its factor, packed
+        double best;           // the unknown in the configuration that is kept
+        double rhs;            // right-hand side of the linear system, then of the triangular one
+        double inverse_pivot;  // of its factor L D L^T
         bool at_bound;
     };
 
@@ -220,50 +194,42 @@ private:
         }
         const double sin = norm(axis);
         if (sin > MIN_SINE) { return (std::atan2(sin, cos) / sin) * axis; }
-        return cos < 0.0 ? half_turn(goal, tip) : Vec3{};
+        if (cos >= 0.0) { return {}; }
+        // Half a turn, about any axis across the free one.
+        return is_pose ? rotation_vector(tip, goal.pose.rotation) : std::numbers::pi * axis_of(tip, (free_axis(goal.constraint) + 1) % 3);
     }
 
-    // Solves (J^T J + damping I) step = gradient by L D L^T for the unknowns not at a bound; the others keep their step.
+    // Solves (J^T J + damping I) step = gradient for the unknowns not at a bound; the others keep their step.
     //
     // Returns whether the matrix is positive definite, which J^T J always is, but not with the chain's own curvature.
     bool solve_free(double damping) {
-        size_t count = 0;
         bool definite = true;
         for (size_t i = 0; i < n_; ++i) {
-            if (states_[i].at_bound) { continue; }
-            double total = states_[i].gradient;
-            double pivot = normal_(i, i) + damping;
-            size_t column = 0;
-            for (size_t j = 0; j < n_; ++j) {
-                if (states_[j].at_bound) {
-                    total -= hessian(i, j) * states_[j].step;
-                } else if (j < i) {
-                    double value = normal_(i, j);
-                    for (size_t k = 0; k < column; ++k) { value -= factor_(count, k) * factor_(column, k); }
-                    factor_(count, column) = value;
-                    ++column;
-                }
+            State& state = states_[i];
+            double pivot = state.at_bound ? 1.0 : normal_(i, i) + damping;
+            double total = state.at_bound ? state.step : state.gradient;
+            for (size_t j = 0; j < n_ && !state.at_bound; ++j) {
+                if (states_[j].at_bound) { total -= hessian(i, j) * states_[j].step; }
             }
-            for (size_t k = 0; k < count; ++k) {
-                const double value = factor_(count, k);
-                const double scaled = value * states_[k].pivot;
-                factor_(count, k) = scaled;
-                pivot -= scaled * value;
+            for (size_t j = 0; j < i; ++j) {
+                double value = state.at_bound || states_[j].at_bound ? 0.0 : normal_(i, j);
+                for (size_t k = 0; k < j; ++k) { value -= factor_(i, k) * factor_(j, k); }
+                factor_(i, j) = value;
+            }
+            for (size_t k = 0; k < i; ++k) {
+                const double scaled = factor_(i, k) * states_[k].inverse_pivot;
+                pivot -= scaled * factor_(i, k);
                 total -= scaled * states_[k].rhs;
+                factor_(i, k) = scaled;
             }
-            definite = definite && pivot > 0.5 * damping;
-            states_[count].pivot = 1.0 / std::max(pivot, 0.5 * damping);
-            states_[count].rhs = total;
-            ++count;
+            definite = definite && (state.at_bound || pivot > 0.5 * damping);
+            state.inverse_pivot = 1.0 / pivot;
+            state.rhs = total;
         }
-        size_t row = count;
         for (size_t i = n_; i-- > 0;) {
-            if (states_[i].at_bound) { continue; }
-            --row;
-            double total = states_[row].rhs * states_[row].pivot;
-            for (size_t k = row + 1; k < count; ++k) { total -= factor_(k, row) * states_[k].rhs; }
-            states_[row].rhs = total;
-            states_[i].step = total;
+            State& state = states_[i];
+            state.step = state.rhs * state.inverse_pivot;
+            for (size_t k = i + 1; k < n_; ++k) { state.step -= factor_(k, i) * states_[k].step; }
         }
         return definite;
     }
@@ -273,7 +239,7 @@ private:
     Twist error_;                 // weighted
     std::vector<State> states_;   // (n,)
     DenseMatrix normal_{n_, n_};  // the lower triangle of the Hessian
-    DenseMatrix factor_{n_, n_};  // the packed factor L of L D L^T
+    DenseMatrix factor_{n_, n_};  // L
 };
 
 }  // namespace armctl

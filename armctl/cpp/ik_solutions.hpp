@@ -121,22 +121,4 @@ inline Solutions polish(IkSolver& solver, const Target& target, Vector q0, Matri
     return polished;
 }
 
-// What a closed form may miss by rounding, or because it is not exact.
-struct Inaccuracy {
-    double slack;   // in cosines
-    double margin;  // rad: seeds so far outside the bounds are refined, too
-};
-
-// The solutions of a closed form, refined, the nearest to q0 first.
-inline Solutions solve_all(const ClosedForm& closed_form, IkSolver& solver, const Target& target, Vector q0, const Inaccuracy& inaccuracy,
-                           const Sweep& sweep, const SolutionRows& rows) {
-    std::vector<double> memory(rows.q.rows * rows.q.columns);
-    const MatrixResult seeds{memory.data(), rows.q.rows, rows.q.columns};
-    const Seeds found = closed_form.find(target.pose, q0, inaccuracy.slack, inaccuracy.margin, sweep, seeds);
-    Solutions solutions = polish(solver, target, q0, {seeds.data, static_cast<size_t>(found.count), seeds.columns}, rows);
-    solutions.samples = found.samples;
-    solutions.doubtful = found.doubtful;
-    return solutions;
-}
-
 }  // namespace armctl

@@ -132,7 +132,6 @@ private:
             const double full = independent > 0.0 ? violation / independent : infinity;
             const double step = dropped ? std::min(full, active_[*dropped].multiplier / rates_[*dropped]) : full;
             multiplier += step;
-            decrease_multipliers(step);
             move(step);
             is_exact = false;
             if (step < full) {
@@ -162,15 +161,13 @@ private:
         for (size_t row = 0; row < rows_; ++row) {
             if (tolerances_[row] == infinity) { continue; }
             const double position = dot(normals_.row(row), point_);
-            const double below = low_[row] - position;
-            const double above = position - high_[row];
-            if (below > std::max(largest, tolerances_[row] * (distance + std::abs(low_[row])))) {
-                largest = below;
-                found = {.row = row, .side = 1.0, .bound = low_[row]};
-            }
-            if (above > std::max(largest, tolerances_[row] * (distance + std::abs(high_[row])))) {
-                largest = above;
-                found = {.row = row, .side = -1.0, .bound = -high_[row]};
+            for (const double side : {1.0, -1.0}) {
+                const double bound = side > 0.0 ? low_[row] : -high_[row];
+                const double violation = bound - side * position;
+                if (violation > std::max(largest, tolerances_[row] * (distance + std::abs(bound)))) {
+                    largest = violation;
+                    found = {.row = row, .side = side, .bound = bound};
+                }
             }
         }
         return found;
@@ -207,12 +204,9 @@ private:
         return first;
     }
 
-    void decrease_multipliers(double step) {
-        for (size_t j = 0; j < count_; ++j) { active_[j].multiplier = std::max(active_[j].multiplier - step * rates_[j], 0.0); }
-    }
-
-    // Moves the point along the part of the entering normal that the active ones do not span.
+    // Moves the point along the part of the entering normal that the active ones do not span; their multipliers decrease.
     void move(double step) {
+        for (size_t j = 0; j < count_; ++j) { active_[j].multiplier = std::max(active_[j].multiplier - step * rates_[j], 0.0); }
         std::ranges::fill(direction_, 0.0);
         for (size_t j = count_; j < n_; ++j) {
             for (size_t k = 0; k < n_; ++k) { direction_[k] += coordinates_[j] * basis_(j, k); }

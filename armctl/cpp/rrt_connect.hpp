@@ -3,8 +3,7 @@
 // Sources: J. J. Kuffner, S. M. LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000; with
 // the dynamic domain of A. Yershova et al., "Dynamic-domain RRTs", ICRA 2005.
 #pragma once
-#include "free_space.hpp"
-#include "spans.hpp"
+#include "clearance_proof.hpp"
 
 namespace armctl {
 
@@ -15,17 +14,37 @@ constexpr double DOMAIN_RATE = 1e-4;    // by which a domain shrinks with each f
 constexpr double SAME_CONFIGURATION_RAD = 1e-10;
 constexpr double MIN_PROGRESS = 0.2;  // of a step, towards a target: with less, the projection on the kept axis leads away from it
 constexpr double ROUNDING = 1e-9;
+constexpr double LEVEL_SHARE = 0.5;  // of the permitted tilt, which nodes keep: the lines between them need the rest
+constexpr double LEVEL_TOLERANCE_RAD = 1e-6;
+constexpr int LEVEL_STEPS = 8;
+constexpr double LEVEL_DAMPING = 1e-6;
+constexpr double UPSIDE_DOWN = 1e-16;  // the square of a sine: the axis is upside down
 
+using Configuration = std::vector<double>;  // (n,) rad
+using Path = std::vector<Configuration>;
+
+// Distance of two configurations, rad.
+inline double joint_distance(Vector first, Vector second) {
+    double square = 0.0;
+    for (size_t i = 0; i < first.size(); ++i) {
+        const double difference = second[i] - first[i];
+        square += difference * difference;
+    }
+    return std::sqrt(square);
+}
+
+// Paths keep a clearance from everything and, if asked, the direction of an axis. Uses the proof's scratch memory and its kept axis.
 class RrtConnect {
 public:
     // From a start (n,) to any of some goals (g, n), all of them free; `low` and `high` (n,) bound what is tried. No tree gets
     // more nodes than `capacity`.
-    RrtConnect(FreeSpace space, Vector start, Matrix goals, Vector low, Vector high, size_t capacity)
-        : space_(std::move(space)), low_(low.begin(), low.end()), high_(high.begin(), high.end()), capacity_(capacity),
-          step_(space_.keeps_axis() ? std::min(STEP, 2.0 * std::sqrt(space_.kept_within())) : STEP),
-          trees_{Tree(start.size()), Tree(start.size())}, trial_(start.size()) {
-        trees_[FROM_START].add(start, std::nullopt);
-        for (size_t goal = 0; goal < goals.rows; ++goal) { trees_[FROM_GOALS].add(goals.row(goal), std::nullopt); }
+    RrtConnect(std::shared_ptr<ClearanceProof> proof, double clearance, Vector start, Matrix goals, Vector low, Vector high,
+               size_t capacity)
+        : proof_(std::move(proof)), clearance_(clearance), low_(low.begin(), low.end()), high_(high.begin(), high.end()),
+          capacity_(capacity), start_(model().joints()), end_(start_) {
+        if (keep()) { step_ = std::min(STEP, 2.0 * std::sqrt(keep()->within)); }
+        add(trees_[FROM_START], start, std::nullopt);
+        for (size_t goal = 0; goal < goals.rows; ++goal) { add(trees_[FROM_GOALS], goals.row(goal), std::nullopt); }
     }
 
     size_t n() const { return low_.size(); }
@@ -36,8 +55,7 @@ public:
             if (trees_[side_].size() > trees_[1 - side_].size()) { side_ = 1 - side_; }
             const std::optional<size_t> added = extend(trees_[side_], samples.row(taken));
             if (!added) { continue; }
-            const Vector added_q = trees_[side_].configuration(*added);
-            const std::optional<size_t> met = connect(trees_[1 - side_], added_q);
+            const std::optional<size_t> met = connect(trees_[1 - side_], trees_[side_][*added].q);
             if (met) {
                 meeting_.emplace();
                 (*meeting_)[side_] = *added;
@@ -56,8 +74,7 @@ public:
         const auto append_branch = [this, &path](Side side) {
             std::optional<size_t> node = (*meeting_)[side];
             while (node) {
-                const Vector q = trees_[side].configuration(*node);
-                path.emplace_back(q.begin(), q.end());
+                path.push_back(trees_[side][*node].q);
                 node = trees_[side][*node].parent;
             }
         };
@@ -70,86 +87,70 @@ public:
 
 private:
     struct Node {
-        std::optional<size_t> parent;  // none for a root
-        double domain;                 // rad, from how far it takes samples
+        Configuration q;
+        std::optional<size_t> parent;                             // none for a root
+        double domain = std::numeric_limits<double>::infinity();  // rad, from how far it takes samples
     };
 
-    class Tree {
-    public:
-        explicit Tree(size_t n) : n_(n) {}
-
-        size_t size() const { return nodes_.size(); }
-        Vector configuration(size_t node) const { return {configurations_.data() + node * n_, n_}; }
-        Node& operator[](size_t node) { return nodes_[node]; }
-        const Node& operator[](size_t node) const { return nodes_[node]; }
-
-        size_t add(Vector q, std::optional<size_t> parent) {
-            configurations_.insert(configurations_.end(), q.begin(), q.end());
-            nodes_.push_back({parent, std::numeric_limits<double>::infinity()});
-            return nodes_.size() - 1;
-        }
-
-        // The node nearest to a configuration.
-        size_t nearest(Vector q) const {
-            size_t best = 0;
-            double least = std::numeric_limits<double>::infinity();
-            for (size_t node = 0; node < nodes_.size(); ++node) {
-                const double* own = configurations_.data() + node * n_;
-                double square = 0.0;
-                for (size_t i = 0; i < n_; ++i) {
-                    const double offset = own[i] - q[i];
-                    square += offset * offset;
-                    if (square >= least) { break; }
-                }
-                if (square < least) {
-                    least = square;
-                    best = node;
-                }
-            }
-            return best;
-        }
-
-    private:
-        size_t n_;
-        std::vector<double> configurations_;  // (size, n)
-        std::vector<Node> nodes_;
-    };
+    using Tree = std::vector<Node>;
 
     enum Side { FROM_START, FROM_GOALS };
 
+    const CollisionModel& model() const { return proof_->scene().model(); }
+    const std::optional<KeptAxis>& keep() const { return proof_->kept_axis(); }
+
+    static size_t add(Tree& tree, Vector q, std::optional<size_t> parent) {
+        tree.push_back({.q = Configuration(q.begin(), q.end()), .parent = parent});
+        return tree.size() - 1;
+    }
+
+    // The node nearest to a configuration.
+    static size_t nearest(const Tree& tree, Vector q) {
+        size_t best = 0;
+        double least = std::numeric_limits<double>::infinity();
+        for (size_t node = 0; node < tree.size(); ++node) {
+            const double distance = joint_distance(tree[node].q, q);
+            if (distance < least) {
+                least = distance;
+                best = node;
+            }
+        }
+        return best;
+    }
+
     // A new node on the way from the nearest node to a sample, or none.
     std::optional<size_t> extend(Tree& tree, Vector sample) {
-        const size_t near = tree.nearest(sample);
-        const double distance = joint_distance(sample, tree.configuration(near));
-        const double domain = tree[near].domain;
+        const size_t near = nearest(tree, sample);
+        const double distance = joint_distance(sample, tree[near].q);
+        double& domain = tree[near].domain;
         const bool is_full = std::max(trees_[FROM_START].size(), trees_[FROM_GOALS].size()) >= capacity_;
         if (distance > domain || distance < SAME_CONFIGURATION_RAD || is_full) { return std::nullopt; }
-        const bool is_level = step_towards(tree.configuration(near), sample, std::min(1.0, step_ / distance));
-        if (!is_level || !space_.edge_is_free(tree.configuration(near), trial_)) {
-            tree[near].domain = std::isinf(domain) ? DOMAIN_RAD : std::max(MIN_DOMAIN_RAD, domain * (1.0 - DOMAIN_RATE));
+        const bool is_level = step_towards(tree[near].q, sample, std::min(1.0, step_ / distance));
+        if (!is_level || !edge_is_free(tree[near].q, trial_)) {
+            domain = std::isinf(domain) ? DOMAIN_RAD : std::max(MIN_DOMAIN_RAD, domain * (1.0 - DOMAIN_RATE));
             return std::nullopt;
         }
-        tree[near].domain = domain * (1.0 + DOMAIN_RATE);
-        return tree.add(trial_, near);
+        domain *= 1.0 + DOMAIN_RATE;
+        return add(tree, trial_, near);
     }
 
     // Grows a tree step by step to a configuration. Returns its node there, or none if something is in the way.
     std::optional<size_t> connect(Tree& tree, Vector goal) {
-        size_t node = tree.nearest(goal);
-        double distance = joint_distance(goal, tree.configuration(node));
+        size_t node = nearest(tree, goal);
+        double distance = joint_distance(goal, tree[node].q);
         while (tree.size() < capacity_) {
             const double steps = std::max(1.0, std::ceil(distance / step_ - ROUNDING));
             const bool is_last = steps == 1.0;
             if (is_last) {
                 trial_.assign(goal.begin(), goal.end());
-            } else if (!step_towards(tree.configuration(node), goal, 1.0 / steps)) {
+            } else if (!step_towards(tree[node].q, goal, 1.0 / steps)) {
                 return std::nullopt;
             }
             const double remaining = joint_distance(trial_, goal);
             if (!is_last && remaining > distance - MIN_PROGRESS * step_) { return std::nullopt; }
-            if (!space_.edge_is_free(tree.configuration(node), trial_)) { return std::nullopt; }
+            if (!edge_is_free(tree[node].q, trial_)) { return std::nullopt; }
             distance = remaining;
-            node = tree.add(trial_, node);
+            node = add(tree, trial_, node);
             if (is_last) { return node; }
         }
         return std::nullopt;
@@ -157,19 +158,67 @@ private:
 
     // Writes a configuration on the way to another into `trial_`, projected where an axis keeps its direction. Returns if it could.
     bool step_towards(Vector start, Vector goal, double share) {
+        trial_.resize(n());
         for (size_t i = 0; i < trial_.size(); ++i) { trial_[i] = start[i] + share * (goal[i] - start[i]); }
-        return !space_.keeps_axis() || space_.level(trial_, low_, high_);
+        return !keep() || level(trial_);
     }
 
-    FreeSpace space_;
-    std::vector<double> low_;
-    std::vector<double> high_;
+    // Whether the straight line between two configurations, (n,), is proved. To check its end first decides most of them at a tenth
+    // of the cost.
+    bool edge_is_free(Vector start, Vector end) {
+        CollisionScene& scene = proof_->scene();
+        model().positions(end, end_);
+        if (scene.first_hit(end_, clearance_) != scene.no_pair()) { return false; }
+        if (keep() && scene.tilt(*keep()) > keep()->within) { return false; }
+        model().positions(start, start_);
+        proof_->motion().set_line(start_, end_);
+        return !proof_->hit(clearance_);
+    }
+
+    // Turns the kept axis of a configuration towards its direction, by the least motion of the joints, between bounds. Returns
+    // whether it could. Newton steps on the tilt.
+    bool level(Result q) {
+        CollisionScene& scene = proof_->scene();
+        const KeptAxis& axis = *keep();
+        for (int step = 0; step < LEVEL_STEPS; ++step) {
+            model().positions(q, end_);
+            scene.place_frames(end_);
+            const double excess = scene.tilt(axis) - LEVEL_SHARE * axis.within;
+            if (excess <= LEVEL_TOLERANCE_RAD) { return true; }
+            const Numbers decrease = tilt_decrease(scene.frame(axis.frame).pose.rotation * axis.axis);
+            const double scale = (excess + LEVEL_TOLERANCE_RAD) / (dot(decrease, decrease) + LEVEL_DAMPING);
+            for (size_t j = 0; j < q.size(); ++j) { q[j] = std::min(std::max(q[j] + scale * decrease[j], low_[j]), high_[j]); }
+        }
+        return false;
+    }
+
+    // How fast each joint (n,) turns the kept axis towards its direction.
+    Numbers tilt_decrease(Vec3 axis) const {
+        const CollisionScene& scene = proof_->scene();
+        Vec3 rotation = cross(axis, keep()->direction);
+        if (dot(rotation, rotation) < UPSIDE_DOWN) {  // any rotation across the axis
+            rotation = {axis.y - axis.z, axis.z - axis.x, axis.x - axis.y};
+        }
+        Numbers all(model().joints());
+        for (size_t walk = keep()->frame; walk > 0; walk = model().frames[walk].parent) {
+            const MovingFrame& moving = model().frames[walk];
+            if (!moving.slides) { all[moving.joint] = dot(scene.frame(walk).axis, rotation) / norm(rotation); }
+        }
+        return model().reduced_gradient(all);
+    }
+
+    std::shared_ptr<ClearanceProof> proof_;
+    double clearance_;
+    Configuration low_;
+    Configuration high_;
     size_t capacity_;
-    double step_;  // rad
+    double step_ = STEP;  // rad
     std::array<Tree, 2> trees_;
     size_t side_ = FROM_START;  // whose turn it is
     std::optional<std::array<size_t, 2>> meeting_;
-    std::vector<double> trial_;  // (n,)
+    Configuration trial_;
+    std::vector<double> start_;  // (m,) of an edge
+    std::vector<double> end_;
 };
 
 }  // namespace armctl

@@ -38,9 +38,10 @@ def solve_ik_all(
 ) -> IkBatch:
     """All configurations that bring the tip to a target, inside the joint limits, the nearest to q0 first.
 
-    An arm of six hinges has a closed form for poses if three consecutive axes meet in a point or are parallel. It gives all
-    solutions, and `is_complete` is True unless one of them is within rounding of a singularity, where their number is not
-    certain. If the axes are special only up to 5e-4 rad or reaches, a numerical search begins at its solutions.
+    An arm of six hinges has a closed form for poses if three consecutive axes meet in a point or are parallel, and so do two
+    neighbours of the others. It gives all solutions, and `is_complete` is True unless one of them is within rounding of a
+    singularity, where their number is not certain. If the axes are special only up to 5e-4 rad or reaches, a numerical search
+    begins at its solutions.
 
     An arm of seven hinges is swept: one joint is held at sampled positions, each of which gives all configurations of the other
     six, in closed form if their axes permit. The result is a sample of the self-motion, evenly spread over the joint's range.

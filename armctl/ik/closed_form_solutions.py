@@ -13,7 +13,7 @@ from armctl.ik.problem import IkChain, Problem
 
 _ONE_POSITION = np.zeros(1)  # of a sweep that six joints do not need
 MIN_SAMPLES = 16  # of a sweep
-MAX_SEEDS_PER_SAMPLE = 16
+MAX_SEEDS_PER_SAMPLE = 8
 MIN_EMPTY_SAMPLES = 256  # of a sweep that finds nothing
 SAMPLES_PER_SOLUTION = 4  # of a sweep
 FIRST_SAMPLES = 64  # of a sweep that ends at the first solution

@@ -50,19 +50,19 @@ class Hinges(NamedTuple):
     tip_translation: Array  # (3,)
 
 
-def axes_of(axes: Array, points: Array) -> Relation:
-    """The relation of K lines with directions and points (K, 3)."""
+def axes_of(axes: Array, points: Array) -> Relation | None:
+    """The relation of K lines with directions and points (K, 3); None if they neither meet nor are parallel."""
     sines = np.linalg.norm(np.cross(axes[0], axes[1:]), axis=1)
     if sines.max() <= RECOGNITION_TOLERANCE:
         return Relation(AxesRelation.PARALLEL, points[0], float(sines.max()))
     projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     values, vectors = np.linalg.eigh(projectors.sum(axis=0))
     if values[0] < RECOGNITION_TOLERANCE:
-        return Relation(AxesRelation.NEITHER, points[0], np.inf)
+        return None
     right = np.einsum("kij,kj->i", projectors, points)
     point = vectors @ ((vectors.T @ right) / values)
     distance = float(np.linalg.norm(np.einsum("kij,kj->ki", projectors, point - points), axis=1).max())
-    return Relation(AxesRelation.MEET if distance <= RECOGNITION_TOLERANCE else AxesRelation.NEITHER, point, distance)
+    return Relation(AxesRelation.MEET, point, distance) if distance <= RECOGNITION_TOLERANCE else None
 
 
 def closed_form_of(hinges: Hinges) -> ClosedForm | None:
@@ -74,24 +74,19 @@ def closed_form_of(hinges: Hinges) -> ClosedForm | None:
     points = hinges.points
     dexterity = _dexterity(axes, points, hinges.tip_translation)
     best: ClosedForm | None = None
-    best_rank = (False, False, MIN_DEXTERITY)
+    best_rank = (False, MIN_DEXTERITY)
     for held in [None] if n == 6 else range(n):
         six = [k for k in range(n) if k != held]
         for first in range(4):
             special = six[first : first + 3]
-            if special[2] - special[0] > 2:
-                continue
-            relation = axes_of(axes[special], points[special])
-            if relation.kind == AxesRelation.NEITHER:
-                continue
+            relation = axes_of(axes[special], points[special]) if special[2] - special[0] == 2 else None
             others = [six[(first + 3 + k) % 6] for k in range(3)]
             pair_first, pair = _best_pair(axes, points, others)
-            deviation = max(relation.deviation, pair.deviation if pair.kind != AxesRelation.NEITHER else 0.0)
-            if pair.kind != AxesRelation.NEITHER and relation.deviation <= EXACT_TOLERANCE < pair.deviation:
-                pair = Relation(AxesRelation.NEITHER, pair.point, 0.0)  # the quartic equation is exact
-                deviation = relation.deviation
-            rank = (deviation <= EXACT_TOLERANCE, pair.kind != AxesRelation.NEITHER, dexterity[held])
-            if rank[2] > MIN_DEXTERITY and rank > best_rank:
+            if relation is None or pair is None:
+                continue
+            deviation = max(relation.deviation, pair.deviation)
+            rank = (deviation <= EXACT_TOLERANCE, dexterity[held])
+            if rank[1] > MIN_DEXTERITY and rank > best_rank:
                 best_rank = rank
                 common = points.copy()
                 if relation.kind == AxesRelation.MEET:
@@ -113,15 +108,15 @@ def closed_form_of(hinges: Hinges) -> ClosedForm | None:
     return best
 
 
-def _best_pair(axes: Array, points: Array, others: list[int]) -> tuple[int, Relation]:
+def _best_pair(axes: Array, points: Array, others: list[int]) -> tuple[int, Relation | None]:
     """Which neighbours among the other three joints meet or are parallel, whatever the rest of the arm does."""
-    pairs = []
+    found = []
     for k in range(2):
         joints = others[k : k + 2]
-        if joints[1] == joints[0] + 1:
-            pairs.append((k, axes_of(axes[joints], points[joints])))
-    found = [pair for pair in pairs if pair[1].kind != AxesRelation.NEITHER]
-    return min(found, key=lambda pair: pair[1].deviation) if found else (0, Relation(AxesRelation.NEITHER, np.zeros(3), 0.0))
+        pair = axes_of(axes[joints], points[joints]) if joints[1] == joints[0] + 1 else None
+        if pair is not None:
+            found.append((k, pair))
+    return min(found, key=lambda each: each[1].deviation, default=(0, None))
 
 
 def branch_names(kind: AxesRelation, first: int, pair_kind: AxesRelation, pair_first: int) -> tuple[str | None, ...]:
@@ -129,14 +124,11 @@ def branch_names(kind: AxesRelation, first: int, pair_kind: AxesRelation, pair_f
     near_tip = first >= 2
     inner = "wrist" if near_tip else "shoulder"
     outer = "shoulder" if near_tip else "wrist"
-    parts: tuple[str, ...]
     if kind == AxesRelation.PARALLEL:
-        parts = ("elbow", "arm", "") if pair_kind == AxesRelation.NEITHER else ("elbow", inner, outer)
-    elif pair_kind == AxesRelation.NEITHER:
-        parts = (inner, "arm", "")
+        parts = ("elbow", inner, outer)
     else:
         parts = (inner, "elbow", outer) if pair_kind == AxesRelation.PARALLEL else (inner, outer, "elbow")
-    places = [parts.index(part) for part in ("shoulder", "arm", "elbow", "wrist") if part in parts]
+    places = [parts.index(part) for part in ("shoulder", "elbow", "wrist")]
     names: list[str | None] = []
     for code in range(27):
         signs = (SIGNS[code // 9], SIGNS[code // 3 % 3], SIGNS[code % 3])

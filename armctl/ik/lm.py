@@ -51,10 +51,7 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
     chain = problem.chain
     q0 = np.ascontiguousarray(chain.to_units(problem.q0))
     q = q0.copy() if begin is None else np.array(chain.to_units(begin), order="C")
-    solved = np.empty(len(q0), np.int64)
-    next_start = np.empty(len(q0), np.int64)
-    iterations = np.empty(len(q0), np.int64)
-    jumped = np.empty(len(q0), np.int64)
+    outcomes = np.empty((len(q0), 4), np.int64)
     chain.core.search(
         problem.targets,
         problem.constraint,
@@ -65,11 +62,9 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
         last,
         problem.seed,
         q,
-        solved,
-        next_start,
-        iterations,
-        jumped,
+        outcomes,
     )
+    solved, jumped, next_start, iterations = np.ascontiguousarray(outcomes.T)
     return SearchResult(chain.from_units(q), solved == 1, next_start, iterations, jumped == 1)
 
 

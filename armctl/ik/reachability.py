@@ -343,8 +343,7 @@ def _reached(arm: Arm, points: Array, rows: Array, is_oriented: bool) -> tuple[A
     solved = np.zeros(len(targets), bool)
     search = np.flatnonzero(candidates)
     found = q[search]
-    is_solution = np.empty(len(search), np.int64)
-    unused = np.empty((3, len(search)), np.int64)
+    outcomes = np.empty((len(search), 4), np.int64)
     chain.core.search(
         targets[search],
         Constraint.POSE if is_oriented else Constraint.POSITION,
@@ -355,10 +354,9 @@ def _reached(arm: Arm, points: Array, rows: Array, is_oriented: bool) -> tuple[A
         starts,
         0,
         found,
-        is_solution,
-        *unused,
+        outcomes,
     )
-    solved[search] = is_solution == 1
+    solved[search] = outcomes[:, 0] == 1
     q[search] = found
     index = np.zeros(len(targets))
     index[solved] = _manipulabilities(arm, chain.from_units(q[solved]), 6 if is_oriented else 3)

@@ -226,7 +226,6 @@ def move_free_with(
     arm = planning_arm(arm, speed)
     checker = space.checker
     checker.require_provable()
-    checker.forget()
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed: {seed!r:.80} is not an integer of at least 0")
     rng = np.random.default_rng(seed)

@@ -112,7 +112,7 @@ def test_joints_that_do_not_exist_are_refused():
         "relation": AxesRelation.MEET,
         "first": 0,
         "others": np.array([0, 1, 1]),
-        "pair_relation": AxesRelation.NEITHER,
+        "pair_relation": AxesRelation.MEET,
         "pair_first": 0,
         "distances_to_points": np.zeros(2),
     }

@@ -3,6 +3,7 @@
 // Queries run without the GIL.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/vector.h>
 
 #include "arguments.hpp"
 #include "clearance_proof.hpp"
@@ -18,10 +19,6 @@ namespace {
 
 using Release = nb::call_guard<nb::gil_scoped_release>;
 
-size_t checked_pair(const CollisionModel& model, size_t pair) {
-    return checked_index(static_cast<std::int64_t>(pair), model.pairs.size(), "pair");
-}
-
 // The positions of all joints at q (n,); the memory is the thread's.
 Vector all_positions(const CollisionScene& scene, const In& q) {
     thread_local std::vector<double> positions;
@@ -34,26 +31,9 @@ void find_all_hits(CollisionScene& scene, const In& q, double clearance, const I
     scene.all_hits(all_positions(scene, q), clearance, hits.vector(scene.model().pairs.size(), "hits"));
 }
 
-double overlap_depth(CollisionScene& scene, const In& q, size_t pair) {
-    return scene.overlap_depth(all_positions(scene, q), checked_pair(scene.model(), pair));
-}
-
-size_t find_near_pairs(CollisionScene& scene, const In& q, const In& moves, double share, const In& clearances) {
+std::vector<NearPair> find_near_pairs(CollisionScene& scene, const In& q, const In& moves, double share, const In& clearances) {
     const Vector delta = moves.vector(scene.model().joints(), "moves");
-    scene.find_near_pairs(all_positions(scene, q), delta, share, clearances.vector(scene.model().pairs.size(), "clearances"));
-    return scene.near_pairs().size();
-}
-
-void store_near_pairs(const CollisionScene& scene, const IntegersOut& pairs, const Out& distances, const Out& gradients) {
-    const size_t count = scene.near_pairs().size();
-    const std::span<std::int64_t> rows = pairs.vector(count, "pairs");
-    const Result numbers = distances.vector(count, "distances");
-    const MatrixResult derivatives = gradients.matrix(count, scene.model().n(), "gradients");
-    for (size_t i = 0; i < count; ++i) {
-        rows[i] = static_cast<std::int64_t>(scene.near_pairs()[i].pair);
-        numbers[i] = scene.near_pairs()[i].distance;
-        scene.model().reduce_gradient(scene.near_gradient(i), derivatives.row(i));
-    }
+    return scene.near_pairs(all_positions(scene, q), delta, share, clearances.vector(scene.model().pairs.size(), "clearances"));
 }
 
 KeptAxis make_kept_axis(CollisionScene& scene, const In& q, size_t frame, const In& direction, double within) {
@@ -76,12 +56,14 @@ void bind_scene(nb::module_& module) {
     nb::class_<PairDistance>(module, "PairDistance", "A pair and its distance.")
         .def_ro("pair", &PairDistance::pair, "Its row, or the number of pairs where there is none.")
         .def_ro("distance", &PairDistance::distance, "m");
+    nb::class_<NearPair>(module, "NearPair", "A pair, and how its distance changes.")
+        .def_ro("pair", &NearPair::pair, "Its row.")
+        .def_ro("distance", &NearPair::distance, "m; negative if it overlaps.")
+        .def_ro("gradient", &NearPair::gradient, "The derivatives (n,) of the distance by the positions of the joints.");
     nb::class_<KeptAxis>(module, "KeptAxis", "An axis that keeps its direction.");
     nb::class_<CollisionScene>(module, "CollisionScene",
-                               "Distances where an arm is, with scratch memory: use an object in one thread at a time.\n\n"
-                               "What a query finds starts the next ones, which can change the last bits of distances.")
+                               "Distances where an arm is, with scratch memory: use an object in one thread at a time.")
         .def(nb::init<std::shared_ptr<const CollisionModel>>(), "model"_a)
-        .def("forget", &CollisionScene::forget, "Forgets what earlier queries found.")
         .def(
             "first_hit",
             [](CollisionScene& self, const In& q, double clearance) { return self.first_hit(all_positions(self, q), clearance); }, "q"_a,
@@ -92,12 +74,9 @@ void bind_scene(nb::module_& module) {
         .def(
             "nearest_pair", [](CollisionScene& self, const In& q) { return self.nearest_pair(all_positions(self, q)); }, "q"_a, Release(),
             "The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.")
-        .def("overlap_depth", &overlap_depth, "q"_a, "pair"_a, Release(), "How far the geoms of a pair must move to part, m, at most.")
-        .def("find_near_pairs", &find_near_pairs, "q"_a, "moves"_a, "share"_a, "clearances"_a, Release(),
-             "Finds the pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which\n"
-             "is their distance less their clearance (K,). Returns how many there are.")
-        .def("near_pairs", &store_near_pairs, "pairs"_a, "distances"_a, "gradients"_a,
-             "Writes what `find_near_pairs` found: rows (k,), distances (k,), and their derivatives (k, n).")
+        .def("near_pairs", &find_near_pairs, "q"_a, "moves"_a, "share"_a, "clearances"_a, Release(),
+             "The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is\n"
+             "their distance less their clearance (K,).")
         .def("kept_axis", &make_kept_axis, "q"_a, "frame"_a, "direction"_a, "within"_a,
              "The axis that moves with a frame and has a direction of the world (3,) at q (n,). It may tilt by an angle, rad.");
 }
@@ -117,7 +96,7 @@ void set_motion(ClearanceProof& proof, const In& knots, const In& coefficients) 
 }
 
 std::optional<Hit> find_hit(ClearanceProof& proof, double clearance, std::optional<size_t> pair) {
-    if (pair) { checked_pair(proof.scene().model(), *pair); }
+    if (pair) { checked_index(static_cast<std::int64_t>(*pair), proof.scene().no_pair(), "pair"); }
     return proof.hit(clearance, pair);
 }
 

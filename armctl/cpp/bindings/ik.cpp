@@ -42,24 +42,18 @@ IkAnswer search_one(const Chain& chain, const In& target, Constraint constraint,
 }
 
 void search(const Chain& chain, const In& targets, Constraint constraint, double position_tolerance, double orientation_tolerance,
-            const In& q0, std::int64_t first, std::int64_t last, std::uint64_t seed, const Out& q, const IntegersOut& solved,
-            const IntegersOut& next_start, const IntegersOut& steps, const IntegersOut& jumped) {
+            const In& q0, std::int64_t first, std::int64_t last, std::uint64_t seed, const Out& q, const IntegersOut& outcomes) {
     const size_t count = targets.length("targets");
     const Matrix goals = targets.matrix(count, 12, "targets");
     const Matrix starts = q0.matrix(count, chain.n(), "q0");
     const MatrixResult results = q.matrix(count, chain.n(), "q");
-    const auto all_solved = solved.vector(count, "solved");
-    const auto all_next_start = next_start.vector(count, "next_start");
-    const auto all_steps = steps.vector(count, "steps");
-    const auto all_jumped = jumped.vector(count, "jumped");
+    const std::span<std::int64_t> rows = outcomes.shaped({count, 4}, "outcomes");
     IkSolver solver(chain);
     for (size_t t = 0; t < count; ++t) {
         const Target target{pose_of(goals.row(t)), constraint, {position_tolerance, orientation_tolerance}};
         const SearchOutcome outcome = solver.search(target, starts.row(t), {first, last, seed}, results.row(t));
-        all_solved[t] = outcome.solved ? 1 : 0;
-        all_next_start[t] = outcome.next_start;
-        all_steps[t] = outcome.steps;
-        all_jumped[t] = outcome.jumped ? 1 : 0;
+        const std::int64_t row[] = {outcome.solved, outcome.jumped, outcome.next_start, outcome.steps};
+        std::ranges::copy(row, rows.subspan(4 * t).begin());
     }
 }
 
@@ -130,7 +124,6 @@ void branches_of(const Chain& chain, const In& q, const IntegersOut& branches) {
 
 void bind_chain(nb::module_& module) {
     nb::enum_<AxesRelation>(module, "AxesRelation", nb::is_arithmetic(), "How the axes of some joints are related.")
-        .value("NEITHER", AxesRelation::neither)
         .value("MEET", AxesRelation::meet)
         .value("PARALLEL", AxesRelation::parallel);
     nb::enum_<Constraint>(module, "Constraint", "Which parts of the tip's pose are constrained; FREE_X leaves the turn about x free.")
@@ -167,8 +160,8 @@ void bind_chain(nb::module_& module) {
              "seed"_a, "q"_a, Release(),
              "Searches from q, then from random starts, for a target (4, 3). Fills q (n,) with the best configuration met.")
         .def("search", &search, "targets"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "first"_a, "last"_a,
-             "seed"_a, "q"_a, "solved"_a, "next_start"_a, "steps"_a, "jumped"_a, Release(),
-             "Searches for each of the targets (N, 12). Fills q (N, n) and, (N,) each, what IkAnswer has.")
+             "seed"_a, "q"_a, "outcomes"_a, Release(),
+             "Searches for each of the targets (N, 12). Fills q (N, n) and outcomes (N, 4): the first four fields of IkAnswer.")
         .def("refine", &refine, "targets"_a, "constraint"_a, "rotation_weight"_a, "q0"_a, "pull"_a, "q"_a, "squared_errors"_a, Release(),
              "Moves each q (N, n) to a minimum of the squared error plus `pull` times its squared distance from q0.")
         .def("random_starts", &random_starts, "q0"_a, "first"_a, "seed"_a, "q"_a, Release(),
@@ -211,8 +204,15 @@ Solutions solve_with_closed_form(const ClosedForm& closed_form, const In& target
     const SolutionRows rows = solution_rows(n, q, position_errors, orientation_errors, branches);
     const Target goal{pose_of(target.shaped({4, 3}, "target")), Constraint::pose, {position_tolerance, orientation_tolerance}};
     const Sweep sweep{positions.vector(positions.length("positions"), "positions"), least, wanted};
+    std::vector<double> memory(rows.q.rows * n);
+    const MatrixResult seeds{memory.data(), rows.q.rows, n};
+    const Vector start = q0.vector(n, "q0");
+    const Seeds found = closed_form.find(goal.pose, start, slack, margin, sweep, seeds);
     IkSolver solver(closed_form.chain());
-    return solve_all(closed_form, solver, goal, q0.vector(n, "q0"), {.slack = slack, .margin = margin}, sweep, rows);
+    Solutions solutions = polish(solver, goal, start, {seeds.data, static_cast<size_t>(found.count), n}, rows);
+    solutions.samples = found.samples;
+    solutions.doubtful = found.doubtful;
+    return solutions;
 }
 
 void find_first(const ClosedForm& closed_form, const In& targets, const In& q0, double slack, double margin, const In& positions,
@@ -257,8 +257,7 @@ void bind_ik(nb::module_& module) {
         .def("linearize", &linearize, "target"_a, "constraint"_a, "position_priority"_a, "q"_a, "hessian"_a, "gradient"_a, "J"_a,
              "Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach\n"
              "counts like a rad. Returns the norm of the error.");
-    nb::class_<ClosedForm>(module, "ClosedForm",
-                           "The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.")
+    nb::class_<ClosedForm>(module, "ClosedForm", "The closed form of six hinges; armctl/cpp/closed_form.hpp explains it. Immutable.")
         .def(nb::new_(&make_closed_form), "chain"_a, "arguments"_a,
              "From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.")
         .def("solve_all", &solve_with_closed_form, "target"_a, "q0"_a, "position_tolerance"_a, "orientation_tolerance"_a, "slack"_a,

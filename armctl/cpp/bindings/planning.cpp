@@ -16,7 +16,7 @@ namespace {
 RrtConnect make_rrt_connect(std::shared_ptr<ClearanceProof> proof, double clearance, const In& start, const In& goals, const In& low,
                             const In& high, size_t capacity) {
     const size_t n = proof->scene().model().n();
-    return RrtConnect(FreeSpace(std::move(proof), clearance), start.vector(n, "start"), goals.matrix(goals.length("goals"), n, "goals"),
+    return RrtConnect(std::move(proof), clearance, start.vector(n, "start"), goals.matrix(goals.length("goals"), n, "goals"),
                       low.vector(n, "low"), high.vector(n, "high"), capacity);
 }
 
