@@ -67,21 +67,19 @@ struct ArmModel {
     // come first; `gravity`, `tip_rotation` and `tip_translation` in the last joint's frame, `implicit_damping` and
     // `implicit_coriolis` of a step. Units are SI.
     explicit ArmModel(const Arguments& given)
-        : ratio(given.length("masses"), given.length("armature")), chain_length(given.count("chain_length")),
+        : ratio(given.length("masses"), given.length("armature")),
+          chain_length(checked_index(given.integer("chain_length") - 1, ratio.rows(), "chain_length") + 1),
           gravity(vec3(given.vector(3, "gravity"))),
           T_last_tip{Rotation::from_rows(given.shaped({3, 3}, "tip_rotation")), vec3(given.vector(3, "tip_translation"))} {
         const size_t m = ratio.rows();
         const size_t n = ratio.columns();
-        if (chain_length < 1 || chain_length > m) {
-            throw InputError("chain_length: need 1 to " + std::to_string(m) + " joints, got " + std::to_string(chain_length));
-        }
         for (size_t j = 0; j < m; ++j) {
             const Vector inertia = given.matrix(m, 6, "inertias").row(j);
             joints.push_back({
                 .rotation = Rotation::from_rows(given.shaped({m, 3, 3}, "rotations").subspan(9 * j, 9)),
                 .translation = vec3(given.matrix(m, 3, "translations").row(j)),
                 .slides = given.integers(m, "slides")[j] != 0,
-                .parent = checked_parent(given.integers(m, "parents")[j], j),
+                .parent = static_cast<int>(checked_index(given.integers(m, "parents")[j] + 1, j + 1, "parents")) - 1,
                 .mass = given.vector(m, "masses")[j],
                 .center = vec3(given.matrix(m, 3, "centers").row(j)),
                 .inertia = {inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5]},
@@ -145,14 +143,6 @@ struct ArmModel {
 
 private:
     static Polynomial polynomial(Vector terms) { return {terms[0], terms[1], terms[2]}; }
-
-    static int checked_parent(std::int64_t parent, size_t j) {
-        if (parent < -1 || parent >= static_cast<std::int64_t>(j)) {
-            throw InputError("parents: joint " + std::to_string(j) + " has the parent " + std::to_string(parent) +
-                             "; need a joint before it, or -1 for the base");
-        }
-        return static_cast<int>(parent);
-    }
 };
 
 using Model = std::shared_ptr<const ArmModel>;

@@ -204,11 +204,12 @@ private:
     // Returns whether the matrix is positive definite, which J^T J always is, but not with the chain's own curvature.
     bool solve_free(double damping) {
         bool definite = true;
+        const bool is_any_at_bound = std::ranges::any_of(states_, &State::at_bound);
         for (size_t i = 0; i < n_; ++i) {
             State& state = states_[i];
             double pivot = state.at_bound ? 1.0 : normal_(i, i) + damping;
             double total = state.at_bound ? state.step : state.gradient;
-            for (size_t j = 0; j < n_ && !state.at_bound; ++j) {
+            for (size_t j = 0; j < n_ && is_any_at_bound && !state.at_bound; ++j) {
                 if (states_[j].at_bound) { total -= hessian(i, j) * states_[j].step; }
             }
             for (size_t j = 0; j < i; ++j) {

@@ -96,14 +96,15 @@ public:
     // sensor gives a wrench; `is_sampled` if noise, delay or an estimate makes the measurement differ from the true wrench.
     // `estimated` numbers of the wrench follow from the torques of the motors; 0 if a flange sensor measures it.
     WrenchSensor(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, const Model& arm, const Arguments& given)
-        : api_(std::move(api)), simulation_(simulation), joints_(arm->n()), root_(given.count("root")), tip_(given.count("tip")),
-          offset_(vec3(given.vector(3, "offset"))), is_connected_(given.flag("is_connected")), is_sampled_(given.flag("is_sampled")),
+        : api_(std::move(api)), simulation_(simulation), joints_(arm->n()),
+          root_(checked_index(given.integer("root"), simulation.xpos.rows, "root")),
+          tip_(checked_index(given.integer("tip"), simulation.xpos.rows, "tip")), offset_(vec3(given.vector(3, "offset"))),
+          is_connected_(given.flag("is_connected")), is_sampled_(given.flag("is_sampled")),
           // Those of the delay, the newest one, and one in reserve: a rounding error may keep a sample a tick longer.
           max_age_((given.number("delay") + 0.5) * given.number("dt")), max_samples_(given.count("delay") + 2) {
-        for (const std::int64_t body : given.integers(given.length("bodies"), "bodies")) { bodies_.push_back(static_cast<size_t>(body)); }
-        const size_t count = simulation.xpos.rows;
-        const bool are_bodies = std::ranges::all_of(bodies_, [count](size_t body) { return body < count; });
-        if (!are_bodies || root_ >= count || tip_ >= count) { throw InputError("site: the model has no such body"); }
+        for (const std::int64_t body : given.integers(given.length("bodies"), "bodies")) {
+            bodies_.push_back(checked_index(body, simulation.xpos.rows, "bodies"));
+        }
         const size_t estimated = given.count("estimated");
         if (estimated != 0 && estimated != 3 && estimated != 6) { throw InputError("estimated: need 0, 3 or 6"); }
         if (estimated > 0) { estimate_.emplace(arm, given.number("dt"), estimated); }

@@ -148,7 +148,7 @@ def test_addresses_that_a_model_does_not_have_are_refused_in_one_sentence(steppe
         tick_loop(stepper, ctrl_addresses=np.array([0, 1, 99]))
     with pytest.raises(armctl.InputError, match="motors: the model has no such joint or motor"):
         tick_loop(stepper, qpos_addresses=np.array([0, 1, -1]))
-    with pytest.raises(armctl.InputError, match="site: the model has no such body"):
+    with pytest.raises(armctl.InputError, match="bodies: 99 is not one of"):
         wrench_sensor(stepper, bodies=np.array([99]))
     with pytest.raises(armctl.InputError, match="estimated: need 0, 3 or 6"):
         wrench_sensor(stepper, estimated=4)

@@ -19,7 +19,7 @@ public:
 
     void torque(const State& measured, const Setpoint& setpoint, Result tau) override {
         State state = measured;
-        if (has_estimate()) {
+        if (has_estimate_) {
             estimate(measured);
             state = {.q = position(), .v = velocity(), .wrench = {}};
         }
@@ -40,7 +40,7 @@ public:
         dynamics_.add_linear_damping(error_rate_, added_torque_);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += added_torque_[i]; }
         dynamics_.add_friction(v_ref, a_ref, tau);
-        if (has_estimate()) { predict(tau); }
+        if (has_estimate_) { predict(tau); }
     }
 
 protected:

@@ -12,12 +12,11 @@ class EstimatedMotion : public Law {
 protected:
     // The memory: whether there was a tick and the estimate, if there is one, and further numbers for a derived law.
     EstimatedMotion(const Model& model, const Arguments& gains, bool has_estimate, size_t further_memory)
-        : Law(model->n(), estimate_size(has_estimate, model->n()) + further_memory), dynamics_(model), dt_(gains.number("dt")),
-          stiffness_(gains.number("stiffness")), damping_(gains.number("damping")), tau_max_(gains.numbers(joints(), "torque_limit")),
-          has_estimate_(has_estimate), position_weight_(gains.number("position_weight")), velocity_weight_(gains.number("velocity_weight")),
-          position_step_(gains.flag("continuous") ? 0.5 : 1.0) {}
+        : Law(model->n(), estimate_size(has_estimate, model->n()) + further_memory), has_estimate_(has_estimate), dynamics_(model),
+          dt_(gains.number("dt")), stiffness_(gains.number("stiffness")), damping_(gains.number("damping")),
+          tau_max_(gains.numbers(joints(), "torque_limit")), position_weight_(gains.number("position_weight")),
+          velocity_weight_(gains.number("velocity_weight")), position_step_(gains.flag("continuous") ? 0.5 : 1.0) {}
 
-    bool has_estimate() const { return has_estimate_; }
     bool has_begun() { return memory()[0] != 0.0; }
 
     // (n,) each, estimated. The acceleration is the one commanded at the last tick; after `estimate` the mean one since then.
@@ -45,6 +44,7 @@ protected:
         }
     }
 
+    bool has_estimate_;
     Dynamics dynamics_;
     double dt_;         // s, the period
     double stiffness_;  // 1/s^2
@@ -54,7 +54,6 @@ protected:
 private:
     static size_t estimate_size(bool has_estimate, size_t n) { return has_estimate ? 1 + 3 * n : 0; }
 
-    bool has_estimate_;
     double position_weight_;  // of the error of the predicted position
     double velocity_weight_;  // of the error / period
     // Change of position / (acceleration x dt^2) in a period from rest: 1 if the period is a step of MuJoCo, whose last velocity
