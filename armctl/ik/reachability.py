@@ -371,7 +371,7 @@ def _manipulabilities(arm: Arm, q: Array, rows: int) -> Array:
     Research 4(2), 1985).
     """
     J = np.empty((len(q), 6, arm.n))
-    _core.tip_jacobians(arm.core_model, np.ascontiguousarray(q), J.reshape(len(q), -1))
+    _core.tip_jacobians(arm.core_model, np.ascontiguousarray(q), J.reshape(len(q), 6 * arm.n))
     J = J[:, :rows]
     J_T = np.swapaxes(J, 1, 2)
     return np.sqrt(np.maximum(np.linalg.det(J @ J_T if arm.n >= rows else J_T @ J), 0.0))
