@@ -90,7 +90,7 @@ def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
     found = lm.search(part, 0, lm.LM_STARTS)
     q = lm.stay_near(part, found) if stay_near else found.q
     position_error, orientation_error = part.residuals(q)
-    ok = (position_error <= part.position_tolerance) & (orientation_error <= part.orientation_tolerance)
+    ok = part.is_solved(position_error, orientation_error)
     reason = np.full(len(rows), "", object)
     failed = np.flatnonzero(~ok)
     if len(failed):
@@ -98,9 +98,7 @@ def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
         q[failed] = effort.q
         position_error[failed] = effort.position_error
         orientation_error[failed] = effort.orientation_error
-        ok[failed] = (effort.position_error <= part.position_tolerance) & (
-            effort.orientation_error <= part.orientation_tolerance
-        )
+        ok[failed] = part.is_solved(effort.position_error, effort.orientation_error)
         columns = (effort.out_of_reach, effort.position_error, effort.orientation_error, found.next_start[failed])
         reason[failed] = [failure_reason(*row, part.chain.reach) for row in zip(*columns, strict=True)]
         reason[ok] = ""

@@ -49,7 +49,7 @@ def numerical_solutions(problem: Problem, limit: int) -> Solutions:
         found = _find(problem, chain.to_units(first.q[:1]), bound or limit, is_first=True)
     q = _inside_limits(problem, found.q)
     position_error, orientation_error = problem.select(np.zeros(len(q), np.int64)).residuals(q)
-    ok = (position_error <= problem.position_tolerance) & (orientation_error <= problem.orientation_tolerance)
+    ok = problem.is_solved(position_error, orientation_error)
     distance = np.linalg.norm(chain.to_units(q) - chain.to_units(problem.q0), axis=1)
     order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
     q = q[order]

@@ -103,6 +103,10 @@ class Problem(NamedTuple):
         _core.residuals(self.constraint, self.targets, positions, rotations, position_errors, orientation_errors)
         return position_errors, orientation_errors
 
+    def is_solved(self, position_errors: Array, orientation_errors: Array) -> BoolArray:
+        """(N,) whether errors (N,), m and rad, are inside the tolerances."""
+        return (position_errors <= self.position_tolerance) & (orientation_errors <= self.orientation_tolerance)
+
 
 def read_target(target: TargetLike, free_axis: str | None) -> tuple[Constraint, Array]:
     """The constraint of a target and its numbers (12,): rotation row by row (zeros for a point), position.

@@ -90,7 +90,6 @@ class Franka(Link):
         self._robot: Any = None
         self._control: Any = None
         self._hand: Any = None
-        self._row = np.zeros(7)
 
     def open(self) -> None:
         """Connects, and sets load and collision thresholds."""

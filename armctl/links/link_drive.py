@@ -221,7 +221,9 @@ class LinkDrive:
         """Why a motion from now on, or one that continues the present one, must not be sent; empty if it may."""
         ticks = int(np.ceil(course.knots[-1] / self.dt - 1e-9))
         rows = sample(course, self.dt * np.arange(ticks + 2, dtype=np.float64)).q
-        reason = self.envelope.refusal(rows, self._rows_before(rows[0]), self.dt)
+        stream = self._stream
+        before = stream.before if stream is not None and stream.moves else np.repeat(rows[:1], 3, axis=0)
+        reason = self.envelope.refusal(rows, before, self.dt)
         if not reason:
             speed = self.tip_speed_of(course)
             if speed > _TIP_SPEED_TOLERANCE * self.tip_speed:
@@ -234,11 +236,6 @@ class LinkDrive:
         times = np.linspace(0.0, course.knots[-1], count)
         steps = np.diff(self._arm.fk_many(sample(course, times).q)[0], axis=0)
         return float(np.linalg.norm(steps, axis=1).max() / max(times[1], 1e-9))
-
-    def _rows_before(self, first: Array) -> Array:
-        """(3, n) rad, the rows before the first one of a motion."""
-        stream = self._stream
-        return np.repeat(first[None], 3, axis=0) if stream is None or not stream.moves else stream.before
 
     def _course(self, reference: TickReference) -> Pieces:
         """A reference as polynomials: those of its trajectory if it has them. It ends at rest, or is refused by the player."""

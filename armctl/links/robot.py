@@ -9,10 +9,11 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker
 from armctl.core import hooks
 from armctl.core.errors import InputError, LinkError
 from armctl.core.log import Log
@@ -38,9 +39,6 @@ from armctl.sim.commands import Commands
 from armctl.sim.contact_reaction import ContactReaction, check_reaction
 from armctl.sim.follow import MovingTarget
 from armctl.sim.move import PlannedMove
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 LEASE_S = 0.5  # without a word of the planner, until the arm brakes
 _SLOWEST = 0.02  # of a motion's speed; one that must be slower is refused

@@ -52,6 +52,10 @@ def parse_xml(content: bytes, path: Path) -> ElementTree.Element:
 
     ModelError if it is not well-formed, or declares entities, which could expand to gigabytes.
     """
+
+    def refuse_entity(name: str, *_: object) -> None:
+        raise ModelError(f"{shown_path(path)}: it declares the XML entity {name!r:.80}; write the text itself instead")
+
     builder = ElementTree.TreeBuilder()
     try:
         parser = expat.ParserCreate()  # without a separator, expat leaves namespaces alone
@@ -59,23 +63,11 @@ def parse_xml(content: bytes, path: Path) -> ElementTree.Element:
         parser.StartElementHandler = builder.start
         parser.EndElementHandler = builder.end
         parser.CharacterDataHandler = builder.data
-        parser.EntityDeclHandler = _refuse_entity
+        parser.EntityDeclHandler = refuse_entity
         parser.Parse(content.lstrip(), True)
         return builder.close()
-    except _EntityError as error:
-        raise ModelError(
-            f"{shown_path(path)}: it declares the XML entity {error.args[0]!r:.80}; write the text itself instead"
-        ) from None
     except (expat.ExpatError, LookupError) as error:
         raise ModelError(f"{shown_path(path)}: no well-formed XML: {error}") from None
-
-
-class _EntityError(Exception):
-    """A document declares an entity."""
-
-
-def _refuse_entity(name: str, *_: object) -> None:
-    raise _EntityError(name)
 
 
 def model_bytes(path: Path) -> bytes:

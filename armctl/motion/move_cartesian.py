@@ -151,10 +151,17 @@ def move_path(
         LimitError: As for `move_l`.
         PlanError: As for `move_l`.
     """
+    return _planned(arm, q_start, _Request("move_path", read_path(path), number("blend", blend, 0.0)), options)
+
+
+def read_path(path: Sequence[Line | Arc | Pose | ArrayLike]) -> list[Line | Arc]:
+    """The lines and arcs of a path, at least one; a pose or a point becomes a line to it. InputError if it is no list."""
     if isinstance(path, (Pose, str)) or not isinstance(path, Iterable) or getattr(path, "shape", None) == ():
         raise InputError(f"path: expected a list of lines, arcs, poses or points, got {shown(path)}")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
-    return _planned(arm, q_start, _Request("move_path", parts, number("blend", blend, 0.0)), options)
+    if not parts:
+        raise InputError("path: it is empty; give at least one line or arc")
+    return parts
 
 
 class _Request(NamedTuple):
@@ -178,8 +185,6 @@ def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathO
     if isinstance(q_start, Pose):
         return _best_branch(arm, q_start, lambda q: _plan(arm, q, request, options))
     q = arm.checked("q_start", q_start)
-    if not parts:
-        raise InputError("path: it is empty; give at least one line or arc")
     oriented = isinstance(parts[0].target, Pose)
     blends = [number("blend", request.blend if part.blend is None else part.blend, 0.0) for part in parts]
     shapes = _shapes(arm.fk(q), parts, oriented)

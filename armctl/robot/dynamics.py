@@ -64,8 +64,6 @@ class Dynamics:
         integrator = Integrator.of(model)
         self._joint_map = joint_map
         self._passive = passive
-        self._is_damped = passive.is_damped
-        self._has_nonlinear_damping = passive.has_nonlinear_damping
         self._dry_friction = DryFriction.of(model, joint_map)
         self.damping = passive.damping  # (n,) N m s/rad, linear viscous damping of the joints
         self.friction_loss = self._dry_friction.loss  # (n,) N m, dry friction of the joints
@@ -76,7 +74,6 @@ class Dynamics:
         self._convention = pin.Convention.LOCAL if joint_map.is_plain else pin.Convention.WORLD
         self._gravity_support = pinocchio_model.gravity_support
         self._support_data = self._gravity_support.createData() if self._gravity_support is not None else None
-        self._has_position_forces = passive.has_springs or self._gravity_support is not None
         # Pinocchio has no derivatives of the inverse dynamics of mimic joints.
         self._implicit_coriolis = integrator.implicit_coriolis and joint_map.is_plain
         self._implicit_damping = passive.damping * integrator.implicit_damping
@@ -109,9 +106,9 @@ class Dynamics:
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Torque for an acceleration in continuous time, without dry friction; (n,) N m."""
         tau = rnea(self._model, self._data, q, v, a)
-        if self._is_damped:
-            tau = tau + (self._passive.damping_torque(v) if self._has_nonlinear_damping else self.damping * v)
-        return self._with_position_forces(tau, q) if self._has_position_forces else tau
+        if self._passive.is_damped:
+            tau = tau + self._passive.damping_torque(v)
+        return self._with_position_forces(tau, q)
 
     def discrete_inverse_dynamics(self, q: Array, v: Array, a: Array, dt: float) -> Array:
         """Inverse of MuJoCo's discrete step: the torque for which (v_next - v) / dt is exactly a; no dry friction; (n,) N m.
@@ -121,11 +118,11 @@ class Dynamics:
         """
         step = self._step if dt == self._step.dt else self._new_step_model(dt)  # dt rarely changes between calls
         tau = rnea(step.pin_model, self._data, q, v, a)
-        if self._is_damped:
-            tau = tau + (self._passive.damping_torque(v) if self._has_nonlinear_damping else self.damping * v)
+        if self._passive.is_damped:
+            tau = tau + self._passive.damping_torque(v)
         if self._implicit_nonlinear and dt:
             tau = tau + dt * self._implicit_nonlinear_change(q, v, a)
-        return self._with_position_forces(tau, q) if self._has_position_forces else tau
+        return self._with_position_forces(tau, q)
 
     def forward_dynamics(self, q: Array, v: Array, tau: Array) -> Array:
         """Acceleration in continuous time, without dry friction: the inverse of `inverse_dynamics`; (n,) rad/s^2."""

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Unpack
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.collision.checker import CollisionChecker
@@ -19,9 +18,9 @@ from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import Array, flag, number, shown
+from armctl.core.validation import Array, flag, number
 from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
-from armctl.motion.move_cartesian import Arc, Line, PathOptions, move_c, move_l, move_path
+from armctl.motion.move_cartesian import Arc, Line, PathOptions, move_c, move_l, move_path, read_path
 from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces
@@ -230,16 +229,11 @@ class Commands:
             InputError: As for `move_to`, or the path is empty.
             SimulationError: As for `move_to`.
         """
-        is_list = isinstance(path, Sequence) or (isinstance(path, np.ndarray) and path.ndim > 0)
-        if not is_list or isinstance(path, str):
-            raise InputError(f"path: {shown(path)} is not a list of lines, arcs, poses or points")
-        if len(path) == 0:
-            raise InputError("path: it is empty; give at least one line or arc")
-        last = path[-1]
-        goal = Target.read(last.target if isinstance(last, (Line, Arc)) else last)
+        parts = read_path(path)
+        last = parts[-1]
         ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
-        planner = partial(move_path, self.arm, self._start, path, blend=blend)
-        return self._move_along(goal, planner, ends_at_target=ends_at_target, **options)
+        planner = partial(move_path, self.arm, self._start, parts, blend=blend)
+        return self._move_along(Target.read(last.target), planner, ends_at_target=ends_at_target, **options)
 
     def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
         """Follows a moving target: reads it 50 times per second, and respects all joint limits.

@@ -171,15 +171,13 @@ class CommittedMotion:
         reason = "" if self.refusal is None else self.refusal(pieces)
         return Refused(np.inf, reason) if reason else None
 
-    def _touches(self, q: Array) -> bool:
-        return self.checker is not None and self.checker.hit(q, _CLEARANCE_M) >= 0
-
     def _before(self, refused: Refused, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
         """The longest of some beginnings of the motion that end at rest and are not refused; None if there is none."""
         self.obstacle = refused.reason
         for shorter in _shorter(knots, start, int(np.searchsorted(knots.t - now, refused.time))):
             # Contact first, because it takes a hundredth of the time.
-            if (shorter.rest != start.q).any() and self._touches(shorter.rest):
+            moves = (shorter.rest != start.q).any()
+            if moves and self.checker is not None and self.checker.hit(shorter.rest, _CLEARANCE_M) >= 0:
                 continue
             pieces = self._motion(solver, start, now, shorter)
             if pieces is not None and self._refused(pieces) is None and self._is_feasible(pieces):

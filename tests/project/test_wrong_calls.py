@@ -42,7 +42,10 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "nothing to compare": (lambda: armctl.compare(arm(), [], motion()), "a list of at least one of each"),
     "one name to compare": (lambda: armctl.compare(arm(), "pd", motion()), "a list of at least one of each"),
     "a pose for a path": (lambda: move_path(arm(), arm().home, armctl.Pose([0, 0, 1])), "path: expected a list of .* got Pose"),  # type: ignore
-    "one number for a path": (lambda: armctl.Simulation(arm()).move_path(np.array(1.0)), "path: .* is not a list of lines"),
+    "one number for a path": (
+        lambda: armctl.Simulation(arm()).move_path(np.array(1.0)),
+        "path: expected a list of lines, .* got array",
+    ),
     "one number in allow": (
         lambda: armctl.move_free(arm(), arm().home, arm().home, allow=np.array(1.0)),
         "allow: expected pairs of names, got array",

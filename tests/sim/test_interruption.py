@@ -180,7 +180,7 @@ def test_a_motion_of_another_arm_is_rejected_and_the_simulation_stays_usable(bun
         (lambda sim: sim.run(armctl.move_j(sim.arm, sim.arm.home, GOAL), dwell="1"), "dwell: '1' is not a number"),
         (lambda sim: sim.move_to([9, 9, 9], speed=0), "speed: expected .*got 0"),
         (lambda sim: sim.move_j(GOAL, speed=1.5), "speed: expected .*got 1.5"),
-        (lambda sim: sim.move_path(3), "path: 3 is not a list of lines"),
+        (lambda sim: sim.move_path(3), "path: expected a list of lines, arcs, poses or points, got 3"),
         (lambda sim: setattr(sim, "controller", 3), "controller: 3 has no method torque"),
     ],
 )

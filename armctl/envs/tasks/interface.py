@@ -93,9 +93,9 @@ class Task(ABC):
     def __init__(self, source: ArmSource, ticks: int):
         """The task for a robot."""
 
-    @abstractmethod
     def draw(self, rng: np.random.Generator) -> Episode:
-        """The start of an episode."""
+        """The start of an episode: around the start of the task, with one of its goals."""
+        return Episode(self.start(rng), int(rng.integers(len(self.goals))))
 
     @property
     def points(self) -> Array:

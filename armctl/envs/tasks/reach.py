@@ -3,7 +3,7 @@
 import numpy as np
 
 from armctl.envs.actions import target_limits
-from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
+from armctl.envs.tasks.interface import ArmSource, Task, free_configurations
 
 _GOAL_SPREAD = 0.5  # rad (m), of all joints around home
 _GOALS = 2048
@@ -25,7 +25,3 @@ class Reach(Task):
         # (k, n) rad, configurations whose tips are the goals
         self.goal_q = free_configurations(self.arm, _GOALS, _GOAL_SPREAD)
         self.goals = self.arm.fk_many(self.goal_q)[0][:, None]
-
-    def draw(self, rng: np.random.Generator) -> Episode:
-        """A start around home, and one of the goals."""
-        return Episode(self.start(rng), int(rng.integers(len(self.goals))))

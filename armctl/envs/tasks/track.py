@@ -8,7 +8,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
-from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
+from armctl.envs.tasks.interface import ArmSource, Task, free_configurations
 
 _PATHS = 128
 _CENTERS = 256
@@ -53,10 +53,6 @@ class Track(Task):
         if not paths:
             raise InputError(f"robot: {self.arm.name:.80} touches something on every path near home; give it another home")
         self.goals = np.array(paths)
-
-    def draw(self, rng: np.random.Generator) -> Episode:
-        """A start around home, and one of the paths."""
-        return Episode(self.start(rng), int(rng.integers(len(self.goals))))
 
     def _waves(self, rng: np.random.Generator, times: Array) -> Array:
         """(T, n) rad, the sum of two sines for each joint."""

@@ -83,10 +83,10 @@ class TargetFollower:
         if self._worker is not None:
             self._worker.close()
 
-    def prepare(self, held: str = "") -> None:
+    def prepare(self) -> None:
         """Loads what the first update needs."""
         self._velocity(Target.read(self.target), self._dt)
-        self.obstacles.recent_checker(held)
+        self.obstacles.recent_checker("")
 
     def stand(self, q: Array, goal: Array) -> None:
         """Rests at q, (n,) rad, and then moves the joints to a goal, (n,) rad, with the target where the tip then is."""
