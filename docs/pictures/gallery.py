@@ -92,7 +92,9 @@ def cell(robot: str) -> str:
     draw(arms, FOLDER / f"{robot}.webp")
     name = "armctl's bundled arm" if robot == BUNDLED else menagerie.get(robot).display_name
     maker = f" by {MAKERS[robot]}" if robot in MAKERS else ""
-    joints = f"{arms[0].n} joints" if len(arms) == 1 else f"{len(arms)} chains"
+    # A chain that goes on into a finger is not counted.
+    whole = [arm for arm in arms if not any(set(other.joint_names) < set(arm.joint_names) for other in arms)]
+    joints = f"{whole[0].n} joints" if len(whole) == 1 else f"{len(whole)} chains"
     return f""":::{{container}}
 ![{name}](pictures/robots/{robot}.webp)
 **{name}**{maker}, {joints}: `armctl view {robot}{options(robot, arms)}`
