@@ -92,8 +92,8 @@ def cell(robot: str) -> str:
     draw(arms, FOLDER / f"{robot}.webp")
     name = "armctl's bundled arm" if robot == BUNDLED else menagerie.get(robot).display_name
     maker = f" by {MAKERS[robot]}" if robot in MAKERS else ""
-    # A chain that goes on into a finger is not counted.
-    whole = [arm for arm in arms if not any(set(other.joint_names) < set(arm.joint_names) for other in arms)]
+    most = max(arm.n for arm in arms)
+    whole = [arm for arm in arms if 2 * arm.n > most]  # the fingers of a gripper are not counted
     joints = f"{whole[0].n} joints" if len(whole) == 1 else f"{len(whole)} chains"
     return f""":::{{container}}
 ![{name}](pictures/robots/{robot}.webp)
