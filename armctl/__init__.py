@@ -21,6 +21,7 @@ _OTHER_NAMES = {
     "plan_path": "move_free",
     "PID": "ComputedTorqueObserver",
     "Sim": "Simulation",
+    "view": "Simulation(viewer=True)",
 }
 
 _public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -25,6 +25,7 @@ _MAX_CONTACTS_SHOWN = 3
 _MIN_JOINT_ERROR_SHOWN = 1e-15
 _MIN_CHATTER_SHOWN = 1e-3  # N m (N)
 _REST_TICKS = 6  # intervals between ticks without motion of the reference, around a tick that counts as rest
+_LAST_TICKS = 50  # in which an unstable loop shows: its torques alternate, although the tip may stay at its goal
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,11 +281,16 @@ def _reason(log: Log, final: float, angle: float, tolerance: float, angle_tolera
     """Why the run failed; empty if it did not."""
     if log.failure:
         return log.failure
+    reasons = []
     if not final <= tolerance:
-        return f"the tip ended {above_text(final, tolerance)} from its goal ({length_text(tolerance)} allowed)"
-    if not angle <= angle_tolerance:
-        return f"the tip ended {angle:.3g} rad from its orientation ({angle_tolerance:g} rad allowed)"
-    return ""
+        reasons.append(f"the tip ended {above_text(final, tolerance)} from its goal ({length_text(tolerance)} allowed)")
+    elif not angle <= angle_tolerance:
+        reasons.append(f"the tip ended {angle:.3g} rad from its orientation ({angle_tolerance:g} rad allowed)")
+    jumps = np.abs(np.diff(log.tau[-_LAST_TICKS:], axis=0)) > log.tau_max
+    if len(jumps) and jumps.mean(axis=0).max() > 0.5:
+        ticks = f"from tick to tick: the loop is unstable at its period of {1e3 * log.dt:g} ms, or amplifies noise"
+        reasons.append(f"a torque jumps by more than its limit {ticks}; lower the gains of {log.controller}")
+    return "; ".join(reasons)
 
 
 def _verdict(log: Log, final: float, reason: str) -> str:

@@ -67,8 +67,10 @@ class UnknownNameError(ArmctlError, LookupError):
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6) or [
             k for k in known if name and name.lower() in k.lower()
         ]
-        near = [k for k in known if k == _OTHER_NAMES.get(name.lower())] or near
-        if near:
+        other = _OTHER_NAMES.get(name.lower())
+        if other in known:
+            hint = f"the closest one is {other!r}"
+        elif near:
             hint = f"did you mean {near[0]!r}?"
         elif len(listed := ", ".join(known)) <= _MAX_LISTED_CHARACTERS:
             hint = f"known: {listed}"

@@ -74,7 +74,8 @@ def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Arr
     if out.ndim != ndim:
         kind = {1: "a list of numbers", 2: "a list of rows"}.get(ndim, f"{ndim} dimensions")
         given = f"an array of shape {out.shape}" if out.ndim else "a single number"
-        raise InputError(f"{what}: expected {kind}, got {given}")
+        hint = "; Pose.from_matrix takes a matrix" if ndim == 1 and out.shape == (4, 4) else ""
+        raise InputError(f"{what}: expected {kind}, got {given}{hint}")
     if finite and not np.isfinite(out).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(out))[0])
         raise InputError(f"{what}: element {list(where)} is {out[where]}, expected a finite number")

@@ -13,33 +13,6 @@ from armctl.mjmodel.queries import Joints, joint_name
 from armctl.mjmodel.sensor_timing import sensor_timing
 from armctl.mjmodel.transmissions import Transmission, Transmissions
 
-# What becomes of each attribute of actuators, joints and sensors in MJCF. A test compares the tables with MuJoCo's own schema.
-JOINT_ATTRIBUTES = {
-    "kept": "name class group user type pos axis ref margin solimplimit solreflimit",
-    "a limit of the arm": "limited range actuatorfrclimited actuatorfrcrange",
-    "in the model of controllers": (
-        "armature damping frictionloss solimpfriction solreffriction stiffness springref springdamper actuatorgravcomp"
-    ),
-    "simulated, and named by a warning": "springyield",
-}
-SENSOR_ATTRIBUTES = {
-    "kept": "name class user cutoff noise joint actuator",
-    "simulated, and named by a warning": "delay interval",
-    "of MuJoCo's own buffer; measurements are held here until the next one": "nsample interp",
-}
-ATTRIBUTES = {
-    "kept": "name class group user joint jointinparent tendon gear armature damping nsample interp delay",
-    "a limit of the arm": "forcelimited forcerange nominal resistance motorconst saturation ctrllimited ctrlrange",
-    "simulated, and named by a warning": "inductance cogging thermal lugre",
-    "of a servo, which a torque motor replaces": (
-        "kp kv ki kd dampratio timeconst imax slewmax posrange velrange ffrange inheritrange input controller actlimited "
-        "actrange actdim actearly dyntype gaintype biastype dynprm gainprm biasprm area diameter bias plugin instance"
-    ),
-    "of a transmission that drives no joint of an arm": (
-        "site refsite cranksite slidersite cranklength body gain lengthrange force scale lmin lmax vmax fpmax fvmax range "
-        "tausmooth"
-    ),
-}
 _WRONG_SOLVER = "4.0.0"  # the version whose Newton solver has a wrong Hessian for sparse Jacobians
 _MIN_SPARSE_DOFS = 60  # from which `jacobian="auto"` means sparse
 _MAX_INCLUDED_FILES = 100

@@ -92,7 +92,9 @@ def cell(robot: str) -> str:
     draw(arms, FOLDER / f"{robot}.webp")
     name = "armctl's bundled arm" if robot == BUNDLED else menagerie.get(robot).display_name
     maker = f" by {MAKERS[robot]}" if robot in MAKERS else ""
-    joints = f"{arms[0].n} joints" if len(arms) == 1 else f"{len(arms)} chains"
+    most = max(arm.n for arm in arms)
+    whole = [arm for arm in arms if 2 * arm.n > most]  # the fingers of a gripper are not counted
+    joints = f"{whole[0].n} joints" if len(whole) == 1 else f"{len(whole)} chains"
     return f""":::{{container}}
 ![{name}](pictures/robots/{robot}.webp)
 **{name}**{maker}, {joints}: `armctl view {robot}{options(robot, arms)}`

@@ -36,6 +36,14 @@ DRAG_WIDTH_PX = 552  # of the page, without its panel
 DRAG_FRAMES_PER_S = 12
 DRAG_MAX_FRAMES = 150
 DRAG_ARROW_M = 0.11  # from the target to the middle of the arrow's tip
+# The page has shadows where the browser says that it draws with a graphics card.
+GRAPHICS_CARD = """
+const parameter = WebGLRenderingContext.prototype.getParameter;
+WebGLRenderingContext.prototype.getParameter = function (name) {
+  const card = this.getExtension("WEBGL_debug_renderer_info").UNMASKED_RENDERER_WEBGL;
+  return name === card ? "graphics card" : parameter.call(this, name);
+};
+"""
 # A browser without a screen shows no mouse cursor: an arrow that follows the events of the mouse.
 CURSOR = """() => {
   const cursor = document.createElement("div");
@@ -156,6 +164,7 @@ def browser(arm: armctl.Arm, width: int, height: int) -> Iterator[Browser]:
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=software.split())
         tab = chromium.new_page(viewport={"width": width, "height": height})
+        tab.add_init_script(GRAPHICS_CARD)
         tab.goto(page.url)
         tab.get_by_text("at the target").first.wait_for(timeout=60e3)
         tab.add_style_tag(content=".mantine-Notifications-root { display: none }")  # that software draws is no news here

@@ -110,6 +110,17 @@ def test_an_exact_run_has_no_chatter_and_no_overshoot(bundled):
     assert math.isnan(Report.from_log(armctl.simulate(bundled, "computed-torque", motion, dwell=0.0)).chatter_nm)
 
 
+def test_the_verdict_names_a_loop_that_is_unstable_at_its_period(bundled):
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.2)
+    for bandwidth in (20.0, 200.0, 1000.0):
+        law = armctl.ComputedTorque(bundled, bandwidth=bandwidth)
+        stable = armctl.margins(bundled, law, [motion(motion.duration).q]).ok
+        report = Report.from_log(armctl.simulate(bundled, law, motion))
+        assert report.ok == stable
+        assert ("unstable at its period of 2 ms" in report.verdict) == (not stable)
+    assert "lower the gains of computed-torque" in report.reason
+
+
 def test_chatter_is_what_alternates():
     tau = np.zeros((1001, 1))
     tau[::2] = 1.0

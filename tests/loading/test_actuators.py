@@ -11,7 +11,6 @@ import pytest
 from synthetic import FAST, limb, mjcf, motors, rotor_spring_link
 
 import armctl
-from armctl.loading.actuators import ATTRIBUTES, JOINT_ATTRIBUTES, SENSOR_ATTRIBUTES
 from armctl.mjmodel.sensor_timing import sensor_timing
 
 JOINT = 'armature="0.05" damping="0.5"'
@@ -23,6 +22,33 @@ def warned(caught) -> str:
     return "\n".join(str(each.message) for each in caught)
 
 
+# What becomes of each attribute of actuators, joints and sensors in MJCF. The tables are compared with MuJoCo's own schema.
+JOINT_ATTRIBUTES = {
+    "kept": "name class group user type pos axis ref margin solimplimit solreflimit",
+    "a limit of the arm": "limited range actuatorfrclimited actuatorfrcrange",
+    "in the model of controllers": (
+        "armature damping frictionloss solimpfriction solreffriction stiffness springref springdamper actuatorgravcomp"
+    ),
+    "simulated, and named by a warning": "springyield",
+}
+SENSOR_ATTRIBUTES = {
+    "kept": "name class user cutoff noise joint actuator",
+    "simulated, and named by a warning": "delay interval",
+    "of MuJoCo's own buffer; measurements are held here until the next one": "nsample interp",
+}
+ATTRIBUTES = {
+    "kept": "name class group user joint jointinparent tendon gear armature damping nsample interp delay",
+    "a limit of the arm": "forcelimited forcerange nominal resistance motorconst saturation ctrllimited ctrlrange",
+    "simulated, and named by a warning": "inductance cogging thermal lugre",
+    "of a servo, which a torque motor replaces": (
+        "kp kv ki kd dampratio timeconst imax slewmax posrange velrange ffrange inheritrange input controller actlimited "
+        "actrange actdim actearly dyntype gaintype biastype dynprm gainprm biasprm area diameter bias plugin instance"
+    ),
+    "of a transmission that drives no joint of an arm": (
+        "site refsite cranksite slidersite cranklength body gain lengthrange force scale lmin lmax vmax fpmax fvmax range "
+        "tausmooth"
+    ),
+}
 SECTIONS = {
     "actuator": (ATTRIBUTES, r"\n   actuator \(\*\)", r"\n   sensor \(\*\)", {"gear", "lugre", "kp", "nsample", "slewmax"}),
     "joint": (
