@@ -38,7 +38,8 @@ def offline_error(arm: armctl.Arm, motion: armctl.JointTrajectory, start: armctl
         return np.sqrt(np.mean(np.sum((tip - tip_ref) ** 2, axis=1))), excess, q, v, tip - tip_ref, tau
 
     times = np.linspace(0.0, motion.duration, count + 1)
-    a = np.diff(np.transpose([np.interp(times, start.t, v) for v in start.v.T]), axis=0) / h
+    v_start = np.column_stack([np.interp(times, start.t, v) for v in start.v.T])
+    a = (v_start[1:] - v_start[:-1]) / h
     best = evaluate(a)
     radius = 50.0  # rad/s^2
     for _ in range(iterations):
