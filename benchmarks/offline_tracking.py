@@ -9,13 +9,16 @@ JOINT_INTERVAL_S = 0.003  # of a constant acceleration, per joint of the arm; wi
 _STEP = 1e-5  # rad, rad/s and rad/s^2, of central differences
 _SOFT = 8  # daqp's flag of a constraint that may be exceeded at a cost
 _SPEED_TOLERANCE = 1e-3  # of a limit of velocity at which a motion passes exactly
+TORQUE_TOLERANCE = 0.01  # of a torque limit, by which the optimum may exceed it: it is to be below what any controller reaches
+_EXCESS_COST = 1.0  # m, per excess of a torque relative to its limit
 
 
-def offline_error(arm: armctl.Arm, motion: armctl.JointTrajectory, iterations: int = 15) -> float:
+def offline_error(arm: armctl.Arm, motion: armctl.JointTrajectory, start: armctl.Log, iterations: int = 15) -> float:
     """The RMS error of the tip, m, of accelerations within the limits of torque and velocity of an arm.
 
-    Sequential quadratic programs with a trust region minimize it over the whole motion at once. The torques are within their
-    limits at both ends of each interval. The optimum is a local one, and inf if no motion within the limits was found.
+    Sequential quadratic programs with a trust region minimize it over the whole motion at once, from the motion of a log. The
+    torques are within their limits at both ends of each interval, or exceed them by the tolerance at most. The optimum is a
+    local one, and inf if no motion within the limits was found.
     """
     count = max(2, round(motion.duration / (JOINT_INTERVAL_S * arm.n)))
     h = motion.duration / count
@@ -34,7 +37,9 @@ def offline_error(arm: armctl.Arm, motion: armctl.JointTrajectory, iterations: i
         excess = max(np.abs(tau / arm.limits.tau_max).max() - 1.0, 0.0)
         return np.sqrt(np.mean(np.sum((tip - tip_ref) ** 2, axis=1))), excess, q, v, tip - tip_ref, tau
 
-    a = np.diff(ref.v, axis=0) / h
+    times = np.linspace(0.0, motion.duration, count + 1)
+    v_start = np.column_stack([np.interp(times, start.t, v) for v in start.v.T])
+    a = (v_start[1:] - v_start[:-1]) / h
     best = evaluate(a)
     radius = 50.0  # rad/s^2
     for _ in range(iterations):
@@ -62,12 +67,12 @@ def offline_error(arm: armctl.Arm, motion: armctl.JointTrajectory, iterations: i
         best = found
         if gain < 1e-3 * best[0]:
             break
-    return best[0] if best[1] < 1e-3 else np.inf
+    return best[0] if best[1] < TORQUE_TOLERANCE else np.inf
 
 
 def _merit(found) -> float:
     """The error, m, and a penalty for torques outside of their limits."""
-    return found[0] + 0.05 * found[1]
+    return found[0] + _EXCESS_COST * found[1]
 
 
 def _torque_rows(arm, q, v, a, position_of, speed_of) -> np.ndarray:

@@ -102,8 +102,19 @@ def test_the_arm_accelerates_before_the_torque_is_missing(arm):
     log = run(weak, "mpc", motion)
     direction = log.q_ref[-1] - log.q_ref[0]
     lead = (log.q - log.q_ref) @ direction
-    first = np.flatnonzero(np.abs(lead) > 1e-4)[0]
+    first = np.flatnonzero(np.abs(lead) > 2e-3)[0]
     assert lead[first] > 0.0
+
+
+def test_a_motor_that_hardly_holds_its_joint_for_a_while_does_not_brake_a_motion_that_it_can_follow(arm):
+    """In the middle of this motion, joint 2 needs its whole torque. It has to brake much later, where it has plenty."""
+    start = [-1.28, -1.07, 0.97, 1.06, -0.05, -1.78, 1.76]
+    motion = armctl.move_j(arm, start, [1.48, -0.79, -1.97, -0.03, -1.33, -0.48, -0.4])
+    weak = weakened(arm, motion, 0.7)
+    log = run(weak, "mpc", motion)
+    middle = (log.t > 0.5) & (log.t < 1.2)
+    assert np.abs(log.tau_cmd / weak.limits.tau_max)[middle].max() > 0.99
+    assert np.linalg.norm(log.tip - log.tip_ref, axis=1)[middle].max() < 1e-4
 
 
 def test_a_reference_outside_of_the_joint_limits_leaves_the_arm_inside(arm):

@@ -40,14 +40,16 @@ protected:
     // Changes the desired acceleration and the torque before the limits of this tick; M_ and H_ are those of this tick.
     virtual void plan(const State&, const Setpoint&, Result) {}
 
+    static constexpr double min_brake_share = 0.05;  // of the torque limit, for joints whose motors hardly hold them
     DenseMatrix square() const { return {joints(), joints()}; }
 
-    Numbers q_min_;              // rad
-    Numbers q_max_;              // rad
-    Numbers v_max_;              // rad/s
-    Numbers a_max_;              // rad/s^2
-    double length_;              // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
-    double mean_share_;          // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
+    Numbers q_min_;      // rad
+    Numbers q_max_;      // rad
+    Numbers v_max_;      // rad/s
+    Numbers a_max_;      // rad/s^2
+    double length_;      // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
+    double mean_share_;  // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
+    double min_brake_share_ = min_brake_share;
     Dynamics start_;             // of the control period
     Numbers desired_ = zeros();  // acceleration
     DenseMatrix J_{6, joints()}, H_ = square(), M_ = square(), factors_ = square();
@@ -59,7 +61,6 @@ private:
     static constexpr double joint_weight = 0.003;
     static constexpr double max_tip_share = 0.5;     // of the feedback's acceleration: the largest correction for the tip's curved motion
     static constexpr double brake_share = 0.8;       // of the torque left, with which a joint has to be able to stop
-    static constexpr double min_brake_share = 0.05;  // of the torque limit, for joints whose motors hardly hold them
     static constexpr double tolerance = 1e-9;        // relative, at which a limit counts as respected
     static constexpr double violation_weight = 1e4;  // of limits that cannot be respected, relative to the deviation of the tip
 
@@ -159,7 +160,7 @@ private:
             const double v = state.v[i];
             const double tau_max = tau_max_[i];
             const double bias = tau[i] - dot(M_.row(i), desired_);
-            const double slowest = min_brake_share * tau_max;
+            const double slowest = min_brake_share_ * tau_max;
             const double down = std::min(a_max_[i], std::max(brake_share * (tau_max + bias), slowest) / M_(i, i));
             const double up = std::min(a_max_[i], std::max(brake_share * (tau_max - bias), slowest) / M_(i, i));
             const double highest = std::min(v_max_[i], stopping_speed(q_max_[i] - q, v, down));

@@ -7,19 +7,16 @@ namespace armctl {
 // a = a_ref + stiffness e + damping e_dot + c, where c is linear in each block of the horizon: if it were constant, the feedback
 // would move the torque of a long block out of its limits.
 //
-// Computed torque makes every joint a double integrator, so errors depend linearly on c, with coefficients that do not change.
-// Stiffness and damping are the optimal feedback of a quadratic cost of errors and accelerations without limits, so c = 0 is then
-// optimal, and what the limits add to the cost is a sum of squares of c (Rossiter, Kouvaritakis, Rice, "A numerically robust
-// state-space approach to stable-predictive control strategies", Automatica 34, 1998). The plan minimizes it, with the deviation
-// of the tip as the measure of c, subject to
+// Computed torque makes every joint a double integrator, so errors depend linearly on c, with coefficients that do not change. c = 0
+// is computed torque. The plan minimizes the squares of the errors of the tip that c adds, times the stiffness, and a small share of
+// the squares of c itself, subject to
 //
 //     -tau_max <= M a + h <= tau_max,    -v_max <= v <= v_max,    q_min <= q <= q_max
 //
 // the torques at the first tick of each block, the others at its last one, for M and h of the motion that c = 0 gives; and their
 // change from block to block, which is at most the torque rate times the time between. Torques change with c by M and by the linear
-// damping of the joints. Where limits contradict each other, those
-// of velocity and position that c = 0 exceeds become costs. Without a solution the last plan goes on. The program of
-// ComputedTorqueQP then keeps the limits of the tick itself, and brakes before the end of a joint's range.
+// damping of the joints. Where limits contradict each other, those of velocity and position that c = 0 exceeds become costs. Without
+// a solution the last plan goes on. The program of ComputedTorqueQP keeps the limits of the tick, and those of position beyond.
 class MPC final : public Cloneable<MPC, ComputedTorqueQP> {
 public:
     // The gains are those of ComputedTorqueQP, `blocks` (k,), the ticks of each block, at least 2, and `torque_rate` (n,) N m/s.
@@ -49,11 +46,16 @@ public:
 
 private:
     static constexpr size_t counters = 4;
-    // In the measure of the tip, more than in ComputedTorqueQP, for the program of the tick as well: where limits act for long, joints
-    // that cost little go far astray, from where no plan leads back.
+    // In the measure of the tip, for the program of the tick as well: joints that cost less go so far astray that no plan leads back.
     static constexpr double joint_weight = 0.1;
     // Limits of velocity and position that are farther away than this share of their range are not part of the program.
     static constexpr double near_limit = 0.15;
+    // Of the squares of c. They alone are the feedback's own cost (Rossiter, Kouvaritakis, Rice, Automatica 34, 1998), which spends errors
+    // to save accelerations. With a limit of the torque rate it remains: the end of c must not ask for a jump of the torque.
+    static constexpr double added_weight = 0.1;
+    // Of the torque limit, with a plan: the torque that is left at present says little about the place where the joint has to stop.
+    // 0.25 gives the same errors; with 0.05 the arm brakes in motions that it can follow.
+    static constexpr double planned_brake_share = 0.5;
     static constexpr double tolerance = 1e-9;           // relative, of a limit
     static constexpr double position_tolerance = 1e-6;  // rad
     // Of limits that contradict others, relative to the cost of a c that would meet them: what remains of the violation is small.
@@ -69,9 +71,7 @@ private:
     // The first or the last tick of a block.
     struct Node {
         size_t tick;
-        Response of_error;
-        Response of_rate;
-        std::vector<Response> of_blocks;
+        std::vector<Response> of;  // the blocks' c, the error and the rate at the start
     };
 
     // The setpoint within the range of the joints.
@@ -95,25 +95,30 @@ private:
     Result c() { return memory(counters + joints(), size()); }        // of each block, from the last solution
     double& age() { return memory()[counters + joints() + size()]; }  // ticks since that solution
 
-    // The responses of errors, by the difference equation of a joint in closed loop, and the cost of c.
+    // The responses of errors of a joint in closed loop, and the cost of c, which counts errors for as long again after the horizon.
     void predict(double position_step) {
-        size_t first = 0;
-        for (const size_t ticks : ticks_) {
-            for (const size_t tick : {first, first + ticks - 1}) {
-                Node node{
-                    .tick = tick,
-                    .of_error = response(tick, {.error = 1.0}, blocks(), position_step),
-                    .of_rate = response(tick, {.rate = 1.0}, blocks(), position_step),
-                    .of_blocks = {},
-                };
-                for (size_t block = 0; block < blocks(); ++block) { node.of_blocks.push_back(response(tick, {}, block, position_step)); }
-                nodes_.push_back(node);
-            }
-            first += ticks;
-        }
-        for (size_t tick = 0; tick < first; ++tick) {
-            for (size_t i = 0; i < blocks(); ++i) {
-                for (size_t j = 0; j < blocks(); ++j) { squares_(i, j) += weight(i, tick) * weight(j, tick); }
+        std::vector<Response> now(blocks() + 2);
+        now[blocks()].error = 1.0;
+        now[blocks() + 1].rate = 1.0;
+        size_t tick = 0;
+        for (size_t block = 0; block <= blocks(); ++block) {
+            const size_t first = tick;
+            const size_t end = block < blocks() ? first + ticks_[block] : 2 * first;
+            for (; tick < end; ++tick) {
+                for (size_t i = 0; i < now.size(); ++i) {
+                    now[i].acceleration = stiffness_ * now[i].error + damping_ * now[i].rate + weight(i, tick);
+                }
+                if (block < blocks() && (tick == first || tick + 1 == end)) { nodes_.push_back({.tick = tick, .of = now}); }
+                for (size_t i = 0; i < blocks(); ++i) {
+                    for (size_t j = 0; j < blocks(); ++j) {
+                        if (rates_ == 0) { squares_(i, j) += stiffness_ * stiffness_ * now[i].error * now[j].error; }
+                        squares_(i, j) += added_weight * weight(i, tick) * weight(j, tick);
+                    }
+                }
+                for (Response& each : now) {
+                    each.error += dt_ * each.rate - position_step * dt_ * dt_ * each.acceleration;
+                    each.rate -= dt_ * each.acceleration;
+                }
             }
         }
     }
@@ -130,16 +135,6 @@ private:
         return 0.0;
     }
 
-    // At a tick, from errors at the start, with the weight of a block as c, if there is such a block.
-    Response response(size_t tick, Response at, size_t block, double position_step) const {
-        for (size_t k = 0;; ++k) {
-            at.acceleration = stiffness_ * at.error + damping_ * at.rate + weight(block, k);
-            if (k == tick) { return at; }
-            at.error += dt_ * at.rate - position_step * dt_ * dt_ * at.acceleration;
-            at.rate -= dt_ * at.acceleration;
-        }
-    }
-
     void plan(const State& state, const Setpoint& setpoint, Result tau) override {
         for (size_t i = 0; i < joints(); ++i) { H_(i, i) += joint_weight * joint_weight * length_ * length_; }
         if (dt_ == 0.0) { return; }
@@ -150,6 +145,7 @@ private:
         const bool is_far = approaches_too_fast() || is_outside(state);
         bool is_limited = is_far;
         for (size_t k = 0; k < nodes_.size() && !is_far; ++k) { is_limited = add_node(k, setpoint, tau) || is_limited; }
+        min_brake_share_ = is_far ? min_brake_share : planned_brake_share;
         if (!is_limited) {
             std::ranges::fill(c(), 0.0);
             return;
@@ -168,6 +164,7 @@ private:
         } else {
             memory()[2] += 1.0;
             age() += 1.0;
+            min_brake_share_ = min_brake_share;
         }
         for (size_t i = 0; i < joints(); ++i) {
             added_[i] = 0.0;
@@ -183,6 +180,8 @@ private:
     bool add_node(size_t k, const Setpoint& setpoint, Vector tau) {
         const size_t n = joints();
         const Node& node = nodes_[k];
+        const Response& of_error = node.of[blocks()];
+        const Response& of_rate = node.of[blocks() + 1];
         for (size_t i = 0; i < n; ++i) {
             double q_ref = setpoint.q[i] + static_cast<double>(node.tick) * dt_ * setpoint.v_tick[i];
             double v_ref = setpoint.v_tick[i];
@@ -196,9 +195,9 @@ private:
             q_ref = std::min(std::max(q_ref, q_min_[i]), q_max_[i]);
             v_ref_[i] = v_ref;
             a_ref_[i] = a_ref;
-            q_[i] = q_ref - node.of_error.error * error_[i] - node.of_rate.error * rate_[i];
-            v_[i] = v_ref - node.of_error.rate * error_[i] - node.of_rate.rate * rate_[i];
-            a_[i] = a_ref + node.of_error.acceleration * error_[i] + node.of_rate.acceleration * rate_[i];
+            q_[i] = q_ref - of_error.error * error_[i] - of_rate.error * rate_[i];
+            v_[i] = v_ref - of_error.rate * error_[i] - of_rate.rate * rate_[i];
+            a_[i] = a_ref + of_error.acceleration * error_[i] + of_rate.acceleration * rate_[i];
         }
         if (k == 0) {
             copy(tau, tau_);
@@ -216,9 +215,9 @@ private:
             const size_t row = block * 3 * n + i;
             if (k % 2 == 0) {
                 for (size_t each = 0; each < blocks(); ++each) {
-                    const double acceleration = node.of_blocks[each].acceleration;
+                    const double acceleration = node.of[each].acceleration;
                     for (size_t j = 0; j < n; ++j) { rows_(row, each * n + j) = acceleration * inertia_(i, j); }
-                    rows_(row, each * n + i) -= period_.model().drives[i].damping.linear * node.of_blocks[each].rate;
+                    rows_(row, each * n + i) -= period_.model().drives[i].damping.linear * node.of[each].rate;
                 }
                 double lower = -tau_max_[i];
                 double upper = tau_max_[i];
@@ -240,8 +239,8 @@ private:
                 continue;
             }
             for (size_t each = 0; each < blocks(); ++each) {
-                rows_(row + n, each * n + i) = node.of_blocks[each].rate;
-                rows_(row + 2 * n, each * n + i) = node.of_blocks[each].error;
+                rows_(row + n, each * n + i) = node.of[each].rate;
+                rows_(row + 2 * n, each * n + i) = node.of[each].error;
             }
             is_limited = set_bounds(row + n, v_[i] - v_max_[i], v_[i] + v_max_[i], near_limit) || is_limited;
             is_limited = set_bounds(row + 2 * n, q_[i] - q_max_[i], q_[i] - q_min_[i], near_limit) || is_limited;
