@@ -23,14 +23,16 @@ def words(numbers) -> str:
 
 
 def random_arm(rng: np.random.Generator, path: Path) -> armctl.Arm:
-    """Six hinges, of which three consecutive axes meet in a point or are parallel, anywhere in the chain; random limits."""
+    """Six hinges: three consecutive axes meet in a point or are parallel, and so do two of the others; random limits."""
     axes = rng.normal(size=(6, 3))
     offsets = rng.uniform(-0.4, 0.4, (6, 3))
     first = int(rng.integers(4))
-    if rng.random() < 0.5:
-        offsets[first + 1 : first + 3] = 0.0
-    else:
-        axes[first + 1 : first + 3] = axes[first]
+    neighbors = [k for k in range(5) if k + 1 < first or k > first + 2]
+    for begin, end in ((first, first + 3), (k := int(rng.choice(neighbors)), k + 2)):
+        if rng.random() < 0.5:
+            offsets[begin + 1 : end] = 0.0
+        else:
+            axes[begin + 1 : end] = axes[begin]
     bounds = np.where(rng.random(6) < 0.5, 3.14, rng.uniform(1.0, 3.0, 6))
     links = "".join(
         LINK.format(pos=words(offsets[i]), i=i, axis=words(axes[i]), range=words([-bounds[i], bounds[i]])) for i in range(6)
