@@ -708,13 +708,6 @@ def make_fastest(motion: numpy.ndarray, **arguments) -> None:
     Replaces a motion through K waypoints by the fastest one; armctl/cpp/waypoint_timing.hpp explains the arguments.
     """
 
-def farthest_displacement(
-    time: float, v_start: float, a_start: float, v_end: float, a_end: float, v_max: float, a_max: float, j_max: float
-) -> tuple:
-    """
-    How far a joint can go between two states in a time, NaN if it cannot, and the derivatives by the time and the states.
-    """
-
 class RrtConnect:
     """
     Trees of proved lines from a start and from goals. Uses the proof's memory: one thread at a time.
