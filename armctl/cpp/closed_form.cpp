@@ -123,18 +123,8 @@ PairAngles pair_angles(const Line& first, const Line& second, AxesRelation relat
 }
 
 // E_1 E_2 E_3 start = goal, for three lines of which the first two are related.
-struct PointEquation {
-    std::array<Line, 3> lines;
-    Vec3 start;
-    Vec3 goal;
-    AxesRelation relation;
-    double slack;
-    Triple preferred;
-
-    LoopAngles solve() const;
-};
-
-LoopAngles PointEquation::solve() const {
+LoopAngles point_angles(const std::array<Line, 3>& lines, Vec3 start, Vec3 goal, AxesRelation relation, double slack,
+                        const Triple& preferred) {
     const auto& [f1, p1] = lines[0];
     const auto& [f3, p3] = lines[2];
     // Axis 3 moves the point on a circle, centre + u cos t + v sin t, to where axes 2 and 1 can turn it to the goal.
@@ -172,20 +162,11 @@ struct Column {
 //
 // Without the angle of the joint in the middle, these are f2 . (E_3 u) = f2 . (E_1^-1 h) and
 // h . (E_1 p2) = u . (E_3^-1 p2) + offset.
-struct PlaneEquation {
-    std::array<Line, 3> lines;  // p2 must be the point in which f2 meets its neighbour
-    Vec3 h;
-    Vec3 u;
-    double offset;          // h . (X x) is u . x + offset for all x
-    AxesRelation relation;  // of two neighbours
-    size_t pair_first;      // of them
-    double slack;
-    Triple preferred;
-
-    LoopAngles solve() const;
-};
-
-LoopAngles PlaneEquation::solve() const {
+//
+// p2 must be the point in which f2 meets its neighbour. The offset is h . (X x) - u . x, which is the same for all x. Of the
+// axes, `pair_first` and the next one are related.
+LoopAngles plane_angles(const std::array<Line, 3>& lines, Vec3 h, Vec3 u, double offset, AxesRelation relation, size_t pair_first,
+                        double slack, const Triple& preferred) {
     const auto& [f1, p1] = lines[0];
     const auto& [f2, p2] = lines[1];
     const auto& [f3, p3] = lines[2];
@@ -271,14 +252,14 @@ LoopAngles SixHinges::loop_angles(const Pose& X, const std::array<Line, 3>& loop
     const auto [axis, point] = lines[first];
     if (special.relation == AxesRelation::parallel) {
         const double offset = dot(axis, X.translation);
-        return PlaneEquation{loop, axis, X.rotation.inverse_times(axis), offset, relation, special.pair_first, slack, preferred}.solve();
+        return plane_angles(loop, axis, X.rotation.inverse_times(axis), offset, relation, special.pair_first, slack, preferred);
     }
     const Vec3 start = X.rotation.inverse_times(point - X.translation);
-    if (special.pair_first == 0) { return PointEquation{loop, start, point, relation, slack, preferred}.solve(); }
+    if (special.pair_first == 0) { return point_angles(loop, start, point, relation, slack, preferred); }
     // The last two are the pair: the chain is gone through backwards.
     const auto reversed = [&loop](size_t k) { return Line{-1.0 * loop[k].axis, loop[k].point}; };
     const Triple preferred_back{preferred[2], preferred[1], preferred[0]};
-    LoopAngles found = PointEquation{{reversed(2), reversed(1), reversed(0)}, point, start, relation, slack, preferred_back}.solve();
+    LoopAngles found = point_angles({reversed(2), reversed(1), reversed(0)}, point, start, relation, slack, preferred_back);
     for (Triple& angles : found.angles) { std::swap(angles[0], angles[2]); }
     return found;
 }
@@ -333,14 +314,12 @@ SixHinges with_held(const SpecialAxes& special, const ZeroConfiguration& zero, d
     SixHinges six{.lines = {}, .tip = zero.tip, .special = special, .first = special.first - (held < special.first ? 1 : 0)};
     std::copy_n(zero.lines.begin(), held, six.lines.begin());
     if (held == 6 && !zero.held) { return six; }
-    const Turn turn(angle);
+    // The motion of the held joint from its zero position.
     const auto& [axis, point] = zero.lines[held];
-    for (size_t k = held; k < 6; ++k) {
-        six.lines[k] = {turned(axis, turn, zero.lines[k + 1].axis), moved({axis, point}, turn, zero.lines[k + 1].point)};
-    }
-    const Rotation& tip = zero.tip.rotation;
-    six.tip.rotation = {turned(axis, turn, tip.x), turned(axis, turn, tip.y), turned(axis, turn, tip.z)};
-    six.tip.translation = moved({axis, point}, turn, zero.tip.translation);
+    const Rotation turn = rotation_about(axis, angle);
+    const Pose motion{turn, point - turn * point};
+    for (size_t k = held; k < 6; ++k) { six.lines[k] = {turn * zero.lines[k + 1].axis, motion * zero.lines[k + 1].point}; }
+    six.tip = motion * zero.tip;
     return six;
 }
 

@@ -177,26 +177,16 @@ private:
 
     // The rotation vector from the tip to the goal; with a free axis the shortest one that aligns the two axes.
     Vec3 rotation_error(const Goal& goal) const {
-        const bool is_pose = goal.constraint == Constraint::pose;
         const Rotation& tip = kinematics_.tip().rotation;
-        Vec3 axis;
-        double cos = 0.0;
-        if (is_pose) {
-            // Half of the sum of cross products of the columns, and the trace.
-            axis = cross(tip.x, goal.pose.rotation.x) + cross(tip.y, goal.pose.rotation.y) + cross(tip.z, goal.pose.rotation.z);
-            axis = 0.5 * axis;
-            cos = dot(tip.x, goal.pose.rotation.x) + dot(tip.y, goal.pose.rotation.y) + dot(tip.z, goal.pose.rotation.z);
-            cos = 0.5 * (cos - 1.0);
-        } else {
-            const int free = free_axis(goal.constraint);
-            axis = cross(axis_of(tip, free), axis_of(goal.pose.rotation, free));
-            cos = dot(axis_of(tip, free), axis_of(goal.pose.rotation, free));
-        }
+        if (goal.constraint == Constraint::pose) { return rotation_vector(tip, goal.pose.rotation); }
+        const int free = free_axis(goal.constraint);
+        const Vec3 wanted = axis_of(goal.pose.rotation, free);
+        const Vec3 axis = cross(axis_of(tip, free), wanted);
+        const double cos = dot(axis_of(tip, free), wanted);
         const double sin = norm(axis);
         if (sin > MIN_SINE) { return (std::atan2(sin, cos) / sin) * axis; }
-        if (cos >= 0.0) { return {}; }
         // Half a turn, about any axis across the free one.
-        return is_pose ? rotation_vector(tip, goal.pose.rotation) : std::numbers::pi * axis_of(tip, (free_axis(goal.constraint) + 1) % 3);
+        return cos >= 0.0 ? Vec3{} : std::numbers::pi * axis_of(tip, (free + 1) % 3);
     }
 
     // Solves (J^T J + damping I) step = gradient for the unknowns not at a bound; the others keep their step.

@@ -242,10 +242,8 @@ private:
     void turn_inside(Result q) const {
         for (size_t i = 0; i < q.size(); ++i) {
             const auto& [bounds, free_bounds, one_turn, period] = chain().unknowns()[i];
-            if (period > 0 && bounds.high - bounds.low < INF) {
-                q[i] += period * std::nearbyint((0.5 * (bounds.low + bounds.high) - q[i]) / period);
-            }
-            q[i] = bounds.clamp(q[i]);
+            const double middle = 0.5 * (bounds.low + bounds.high);
+            q[i] = bounds.clamp(std::isfinite(middle) ? wound(q[i], middle, free_bounds, period) : q[i]);
         }
     }
 
@@ -253,11 +251,9 @@ private:
     bool unwind(Vector q0, Result q) const {
         bool changed = false;
         for (size_t i = 0; i < q.size(); ++i) {
-            const auto& [bounds, free_bounds, one_turn, period] = chain().unknowns()[i];
-            double turns = period > 0 ? std::nearbyint((q0[i] - q[i]) / period) : 0.0;
-            while (turns != 0 && !bounds.contain(q[i] + turns * period)) { turns -= turns > 0 ? 1.0 : -1.0; }
-            if (turns != 0) { q[i] += turns * period; }
-            changed = changed || turns != 0;
+            const double before = q[i];
+            q[i] = wound(before, q0[i], chain().unknowns()[i].bounds, chain().unknowns()[i].period);
+            changed = changed || q[i] != before;
         }
         return changed;
     }
