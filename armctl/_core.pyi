@@ -39,11 +39,6 @@ class TipFollower:
         Returns whether the tip arrives.
         """
 
-    def distance(self, q: numpy.ndarray, position: numpy.ndarray, rotation: numpy.ndarray) -> float:
-        """
-        How far the tip is from a pose, m and rad; the point alone if not oriented.
-        """
-
 class ShapeKind(enum.IntEnum):
     """The shape of a geom."""
 
@@ -93,9 +88,6 @@ class NearPair:
     def gradient(self) -> list[float]:
         """The derivatives (n,) of the distance by the positions of the joints."""
 
-class KeptAxis:
-    """An axis that keeps its direction."""
-
 class CollisionScene:
     """
     Distances where an arm is, with scratch memory: use an object in one thread at a time.
@@ -119,11 +111,6 @@ class CollisionScene:
         """
         The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is
         their distance less their clearance (K,).
-        """
-
-    def kept_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> KeptAxis:
-        """
-        The axis that moves with a frame and has a direction of the world (3,) at q (n,). It may tilt by an angle, rad.
         """
 
 class Hit:
@@ -160,10 +147,13 @@ class ClearanceProof:
     """
 
     def __init__(self, scene: CollisionScene) -> None: ...
-    def keep_axis(self, keep: KeptAxis | None) -> None:
+    def keep_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> None:
         """
-        Sets the axis that must keep its direction in the next proofs, or none.
+        In the next proofs, the axis that moves with a frame and has a direction of the world (3,) at q (n,) may tilt by rad.
         """
+
+    def release_axis(self) -> None:
+        """Lets all axes tilt."""
 
     def set_motion(self, knots: numpy.ndarray, coefficients: numpy.ndarray) -> None:
         """

@@ -64,12 +64,12 @@ class CollisionChecker:
         """The proofs of this thread, with an axis that must keep its direction."""
         memory = self._memory
         if keep is None:
-            memory.proof.keep_axis(None)
+            memory.proof.release_axis()
             return memory.proof
         joints = sorted(self._joint_map.joints)
         last = joints[last_joint_above(self._model, tuple(joints))[keep.body]]
         frame = joints.index(last) + 1
-        memory.proof.keep_axis(memory.scene.kept_axis(_contiguous(keep.q), frame, _contiguous(keep.direction), keep.within))
+        memory.proof.keep_axis(_contiguous(keep.q), frame, _contiguous(keep.direction), keep.within)
         return memory.proof
 
     def tilts(self, hit: Hit) -> bool:

@@ -11,7 +11,6 @@
 
 namespace armctl {
 
-constexpr double SAME_POINT_M2 = 1e-22;  // the square of a distance, m^2: nearer points are the same
 constexpr int MAX_GJK_STEPS = 60;
 constexpr double OVERLAP_M2 = 1e-18;  // the square of a distance between hulls that overlap, m^2
 
@@ -24,15 +23,6 @@ struct SupportPoint {
 class Simplex {
 public:
     size_t size() const { return size_; }
-
-    // Whether a point is one of the vertices.
-    bool contains(Vec3 point) const {
-        for (size_t k = 0; k < size_; ++k) {
-            const Vec3 offset = vertices_[k].difference - point;
-            if (dot(offset, offset) < SAME_POINT_M2) { return true; }
-        }
-        return false;
-    }
 
     // At most four vertices.
     void add(const SupportPoint& vertex) { vertices_[size_++] = vertex; }

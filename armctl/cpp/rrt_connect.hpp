@@ -71,17 +71,14 @@ public:
     Path path() const {
         Path path;
         if (!meeting_) { return path; }
-        const auto append_branch = [this, &path](Side side) {
-            std::optional<size_t> node = (*meeting_)[side];
-            while (node) {
-                path.push_back(trees_[side][*node].q);
-                node = trees_[side][*node].parent;
-            }
-        };
-        append_branch(FROM_START);
+        for (std::optional<size_t> node = (*meeting_)[FROM_START]; node; node = trees_[FROM_START][*node].parent) {
+            path.push_back(trees_[FROM_START][*node].q);
+        }
         std::reverse(path.begin(), path.end());
         path.pop_back();  // both branches end at the meeting point
-        append_branch(FROM_GOALS);
+        for (std::optional<size_t> node = (*meeting_)[FROM_GOALS]; node; node = trees_[FROM_GOALS][*node].parent) {
+            path.push_back(trees_[FROM_GOALS][*node].q);
+        }
         return path;
     }
 

@@ -74,12 +74,6 @@ public:
         return false;
     }
 
-    // How far the tip at q (n,) is from a pose, m and rad.
-    double distance(Vector q, const Pose& goal) {
-        dynamics_.locate(q);
-        return error(goal, Result(twist_).first(rows()));
-    }
-
 private:
     static constexpr double max_change = 0.08;  // rad (m), of any joint in one step: four times as far as a step is meant to go
     static constexpr int max_newton_iterations = 8;

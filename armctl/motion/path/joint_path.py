@@ -18,6 +18,7 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.errors import PlanError
+from armctl.core.pose import rotation_angle
 from armctl.core.validation import Array
 from armctl.ik.solve import solve_ik
 from armctl.motion.path.geometry import Shape
@@ -132,11 +133,11 @@ class _Tracker:
 
     def distances(self, q: Array, s: Array) -> Array:
         """How far the tip is from the path, (T,) m and rad, at positions (T, n) and lengths (T,)."""
-        found = np.empty(len(s))
-        for k, length in enumerate(s):
+        found = np.empty((len(s), 2))
+        for k, (length, position, rotation) in enumerate(zip(s, *self.arm.fk_many(q), strict=True)):
             place = self.path.at(length)
-            found[k] = self._follower.distance(q[k], place.position, np.ascontiguousarray(place.rotation))
-        return found
+            found[k] = np.linalg.norm(place.position - position), rotation_angle(rotation.T @ place.rotation)
+        return np.linalg.norm(found[:, : self.rows // 3], axis=1)
 
     def _step(self, q: Array, s: float, h: float, slope: Array) -> Array | None:
         """The joints a step further, or None where Newton's method does not get there."""
