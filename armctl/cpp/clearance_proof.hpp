@@ -144,7 +144,6 @@ private:
         double begin;  // s
         double end;
         std::shared_ptr<const std::vector<size_t>> open_pairs;  // those that are not settled
-        bool tilt_is_open;
     };
 
     // What is known of a pair, or of the kept axis, in an interval.
@@ -157,9 +156,7 @@ private:
         checked_ = 0;
         waiting_.clear();
         const auto open = std::make_shared<const std::vector<size_t>>(std::move(pairs));
-        for (size_t piece = 0; piece < motion_.pieces(); ++piece) {
-            waiting_.push_back({piece, 0.0, motion_.length(piece), open, keep_.has_value()});
-        }
+        for (size_t piece = 0; piece < motion_.pieces(); ++piece) { waiting_.push_back({piece, 0.0, motion_.length(piece), open}); }
     }
 
     // Settles intervals until none is left or a pair is not free; the joints are then where it is.
@@ -168,7 +165,7 @@ private:
     // stopped goes on with the same interval.
     std::optional<Hit> continue_proof(double clearance) {
         while (!waiting_.empty()) {
-            const auto [piece, begin, end, inherited, tilt_was_open] = waiting_.front();
+            const auto [piece, begin, end, inherited] = waiting_.front();
             const double middle = 0.5 * (begin + end);
             const double time = motion_.knot(piece) + middle;
             motion_.bound(piece, middle, 0.5 * (end - begin), positions_, delta_);
@@ -183,13 +180,13 @@ private:
                 if (verdict == Verdict::not_free) { return Hit{p, time}; }
                 if (verdict == Verdict::open) { open_pairs.push_back(p); }
             }
-            const Verdict tilt = tilt_was_open ? check_tilt() : Verdict::free;
+            const Verdict tilt = keep_ ? check_tilt() : Verdict::free;
             if (tilt == Verdict::not_free) { return Hit{scene_->no_pair(), time}; }
             waiting_.pop_front();
             if (open_pairs.empty() && tilt == Verdict::free) { continue; }
             const auto open = std::make_shared<const std::vector<size_t>>(std::move(open_pairs));
-            waiting_.push_back({piece, begin, middle, open, tilt == Verdict::open});
-            waiting_.push_back({piece, middle, end, open, tilt == Verdict::open});
+            waiting_.push_back({piece, begin, middle, open});
+            waiting_.push_back({piece, middle, end, open});
         }
         return std::nullopt;
     }

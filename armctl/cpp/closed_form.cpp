@@ -59,8 +59,6 @@ struct Turn {
     double sin;
 
     explicit Turn(double angle) : cos(std::cos(angle)), sin(std::sin(angle)) {}
-    Turn(double cosine, double sine) : cos(cosine), sin(sine) {}
-    Turn back() const { return {cos, -sin}; }
 };
 
 // The part of a vector across an axis.
@@ -72,8 +70,11 @@ Vec3 turned(Vec3 axis, Turn turn, Vec3 a) {
     return along * axis + turn.cos * a + turn.sin * cross(axis, a);
 }
 
-// A point turned about a line.
-Vec3 moved(const Line& line, Turn turn, Vec3 a) { return line.point + turned(line.axis, turn, a - line.point); }
+// What a hinge moves as a whole, by an angle from the zero configuration.
+Pose motion(const Line& line, double angle) {
+    const Rotation turn = rotation_about(line.axis, angle);
+    return {turn, line.point - turn * line.point};
+}
 
 // A line as another frame sees it.
 Line seen_from(const Pose& X, const Line& line) {
@@ -114,7 +115,7 @@ PairAngles pair_angles(const Line& first, const Line& second, AxesRelation relat
     PairAngles pair{.doubtful = angles2.doubtful};
     for (size_t k = 0; k < angles2.count; ++k) {
         const Turn turn(angles2.angles[k]);
-        const Vec3 arm = is_parallel ? w + turned(f2, turn, r) : moved(second, turn, x) - p1;
+        const Vec3 arm = (is_parallel ? w : p2 - p1) + turned(f2, turn, r);
         const Angle angle1 = angle_between(f1, arm, end, preferred[0]);
         pair.doubtful = pair.doubtful || angle1.undetermined;
         pair.add({angle1.value, angles2.angles[k]});
@@ -193,7 +194,7 @@ LoopAngles plane_angles(const std::array<Line, 3>& lines, Vec3 h, Vec3 u, double
         for (size_t k = 0; k < others.count; ++k) {
             const double angle1 = other == 0 ? others.angles[k] : found.angles[i];
             const double angle3 = other == 0 ? found.angles[i] : others.angles[k];
-            const Angle angle2 = angle_between(f2, turned(f3, Turn(angle3), u), turned(f1, Turn(angle1).back(), h), preferred[1]);
+            const Angle angle2 = angle_between(f2, turned(f3, Turn(angle3), u), turned(f1, Turn(-angle1), h), preferred[1]);
             loop.doubtful = loop.doubtful || angle2.undetermined;
             loop.add({angle1, angle2.value, angle3});
         }
@@ -210,7 +211,7 @@ SpecialAngles meeting_angles(std::span<const Line, 3> lines, Vec3 moved_b, Vec3 
     SpecialAngles special{.doubtful = pair.doubtful};
     for (size_t k = 0; k < pair.count; ++k) {
         const auto [first, middle] = pair.angles[k];
-        const Vec3 back = turned(b.axis, Turn(middle).back(), turned(a.axis, Turn(first).back(), moved_b));
+        const Vec3 back = turned(b.axis, Turn(-middle), turned(a.axis, Turn(-first), moved_b));
         // Where the third angle is undetermined, the middle one is doubtful already.
         special.add({first, middle, angle_between(c, b.axis, back, preferred[2]).value});
     }
@@ -278,16 +279,10 @@ SixAngles SixHinges::solve(const Pose& X, const std::array<double, 6>& preferred
     SixAngles six{.doubtful = three.doubtful};
     for (size_t i = 0; i < three.count; ++i) {
         const auto [f, g, h] = three.angles[i];
-        const Turn back[3] = {Turn(f).back(), Turn(g).back(), Turn(h).back()};
+        const Pose fgh = motion(loop[0], f) * motion(loop[1], g) * motion(loop[2], h);
         // E_a E_b E_c of the special joints, which is X (E_f E_g E_h)^-1, applied to a direction and to a point.
-        const auto directed = [&](Vec3 a) {
-            for (size_t k = 0; k < 3; ++k) { a = turned(loop[k].axis, back[k], a); }
-            return X.rotation * a;
-        };
-        const auto placed = [&](Vec3 a) {
-            for (size_t k = 0; k < 3; ++k) { a = moved(loop[k], back[k], a); }
-            return X.rotation * a + X.translation;
-        };
+        const auto directed = [&](Vec3 a) { return X.rotation * fgh.rotation.inverse_times(a); };
+        const auto placed = [&](Vec3 a) { return X * fgh.rotation.inverse_times(a - fgh.translation); };
         SpecialAngles found;
         if (special.relation == AxesRelation::meet) {
             found = meeting_angles(axes, directed(axes[1].axis), directed(axes[2].axis), preferred_special, slack);
@@ -314,12 +309,9 @@ SixHinges with_held(const SpecialAxes& special, const ZeroConfiguration& zero, d
     SixHinges six{.lines = {}, .tip = zero.tip, .special = special, .first = special.first - (held < special.first ? 1 : 0)};
     std::copy_n(zero.lines.begin(), held, six.lines.begin());
     if (held == 6 && !zero.held) { return six; }
-    // The motion of the held joint from its zero position.
-    const auto& [axis, point] = zero.lines[held];
-    const Rotation turn = rotation_about(axis, angle);
-    const Pose motion{turn, point - turn * point};
-    for (size_t k = held; k < 6; ++k) { six.lines[k] = {turn * zero.lines[k + 1].axis, motion * zero.lines[k + 1].point}; }
-    six.tip = motion * zero.tip;
+    const Pose moved = motion(zero.lines[held], angle);
+    for (size_t k = held; k < 6; ++k) { six.lines[k] = {moved.rotation * zero.lines[k + 1].axis, moved * zero.lines[k + 1].point}; }
+    six.tip = moved * zero.tip;
     return six;
 }
 

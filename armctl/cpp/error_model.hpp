@@ -27,7 +27,7 @@ using BoundsOf = Bounds Unknown::*;
 // chain. It has scratch memory: one object for each thread.
 class ErrorModel {
 public:
-    explicit ErrorModel(const Chain& chain) : n_(chain.n()), kinematics_(chain), states_(n_) {}
+    explicit ErrorModel(const Chain& chain) : n_(chain.n()), kinematics_(chain), states_(n_), best_(n_) {}
 
     const Chain& chain() const { return kinematics_.chain(); }
     ChainKinematics& kinematics() { return kinematics_; }
@@ -141,13 +141,8 @@ public:
     double hessian(size_t i, size_t j) const { return i < j ? normal_(j, i) : normal_(i, j); }
 
     // Remembers a configuration, and takes it back.
-    void keep_best(Vector q) {
-        for (size_t i = 0; i < n_; ++i) { states_[i].best = q[i]; }
-    }
-
-    void take_best(Result q) const {
-        for (size_t i = 0; i < n_; ++i) { q[i] = states_[i].best; }
-    }
+    void keep_best(Vector q) { copy(q, best_); }
+    void take_best(Result q) const { copy(best_, q); }
 
 private:
     static constexpr double MIN_SINE = 1e-9;  // below it a rotation's axis is lost to rounding
@@ -161,7 +156,6 @@ private:
     struct State {
         double gradient;
         double step;
-        double best;           // the unknown in the configuration that is kept
         double rhs;            // right-hand side of the linear system, then of the triangular one
         double inverse_pivot;  // of its factor L D L^T
         bool at_bound;
@@ -229,6 +223,7 @@ private:
     ChainKinematics kinematics_;
     Twist error_;                 // weighted
     std::vector<State> states_;   // (n,)
+    Numbers best_;                // the configuration that is kept
     DenseMatrix normal_{n_, n_};  // the lower triangle of the Hessian
     DenseMatrix factor_{n_, n_};  // L
 };
