@@ -15,7 +15,6 @@ from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, 
 
 SAMPLES = 64
 _UNIT_KNOTS = np.array([0.0, 1.0])
-_HALF_TURN = np.pi
 
 
 class _Memory(threading.local):
@@ -191,8 +190,8 @@ class CollisionChecker:
     def _proved_by_one_joint(self) -> BoolArray:
         """(K,) pairs that one joint alone moves, and that never touch over its whole range."""
         proved = np.zeros(len(self.geometry.pairs), bool)
-        low = self._joint_map.positions(np.maximum(self._limits.q_min, self._home - _HALF_TURN))
-        high = self._joint_map.positions(np.minimum(self._limits.q_max, self._home + _HALF_TURN))
+        low = self._joint_map.positions(np.maximum(self._limits.q_min, self._home - np.pi))
+        high = self._joint_map.positions(np.minimum(self._limits.q_max, self._home + np.pi))
         is_endless = ~np.isfinite(self._limits.q_max - self._limits.q_min)
         home = self._joint_map.positions(self._home)
         slides = self._model.jnt_type[list(self._joint_map.joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE)
