@@ -28,13 +28,12 @@ class TipFollower:
         slope: numpy.ndarray,
         length: float,
         halfway: numpy.ndarray,
-        end: numpy.ndarray,
         position: numpy.ndarray,
         rotation: numpy.ndarray,
         moved: numpy.ndarray,
     ) -> bool:
         """
-        Moves the joints a step along the path, with the twists half a step and a step further, to a pose there.
+        Moves the joints a step along the path, with the twist half a step further, to a pose there.
 
         Returns whether the tip arrives.
         """

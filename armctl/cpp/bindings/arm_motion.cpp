@@ -32,15 +32,14 @@ void bind_arm_motion(nb::module_& module) {
             "q"_a, "twist"_a, "v"_a, "The joint velocities (n,) that make a twist of the tip.")
         .def(
             "step",
-            [](TipFollower& self, const In& q, const In& slope, double length, const In& halfway, const In& end, const In& position,
-               const In& rotation, const Out& moved) {
-                const Pose pose = {Rotation::from_rows(rotation.shaped({3, 3}, "rotation")), vec3(position.vector(3, "position"))};
-                const PathPoint goal = {pose, end.vector(self.rows(), "end")};
+            [](TipFollower& self, const In& q, const In& slope, double length, const In& halfway, const In& position, const In& rotation,
+               const Out& moved) {
+                const Pose end = {Rotation::from_rows(rotation.shaped({3, 3}, "rotation")), vec3(position.vector(3, "position"))};
                 return self.step(q.vector(self.n(), "q"), slope.vector(self.n(), "slope"), length, halfway.vector(self.rows(), "halfway"),
-                                 goal, moved.vector(self.n(), "moved"));
+                                 end, moved.vector(self.n(), "moved"));
             },
-            "q"_a, "slope"_a, "length"_a, "halfway"_a, "end"_a, "position"_a, "rotation"_a, "moved"_a,
-            "Moves the joints a step along the path, with the twists half a step and a step further, to a pose there.\n\n"
+            "q"_a, "slope"_a, "length"_a, "halfway"_a, "position"_a, "rotation"_a, "moved"_a,
+            "Moves the joints a step along the path, with the twist half a step further, to a pose there.\n\n"
             "Returns whether the tip arrives.");
 }
 

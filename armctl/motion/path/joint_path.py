@@ -148,7 +148,6 @@ class _Tracker:
             slope,
             length=h,
             halfway=self.path.at(s + h / 2).twist[: self.rows],
-            end=end.twist[: self.rows],
             position=end.position,
             rotation=np.ascontiguousarray(end.rotation),
             moved=moved,
