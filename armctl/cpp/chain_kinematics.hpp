@@ -72,10 +72,6 @@ public:
 
     // The Jacobian of the tip where the joints are placed: a twist for each unknown, world axes.
     void find_jacobian() {
-        if (!chain_->has_followers()) {
-            for (size_t j = 0; j < lines_.size(); ++j) { jacobian_[j] = joint_twist(j); }
-            return;
-        }
         std::ranges::fill(jacobian_, Twist{});
         for (size_t j = 0; j < lines_.size(); ++j) {
             const ChainJoint& joint = chain_->joints()[j];

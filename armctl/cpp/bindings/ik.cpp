@@ -38,8 +38,7 @@ IkAnswer search_one(const Chain& chain, const In& target, Constraint constraint,
     const Result result = q.vector(chain.n(), "q");
     IkSolver solver(chain);
     const SearchOutcome outcome = solver.search(goal, q0.vector(chain.n(), "q0"), {.first = 0, .last = last, .seed = seed}, result);
-    if (!outcome.tip_is_known) { solver.kinematics().place(result); }
-    const PoseError error = residual(constraint, goal.pose, solver.kinematics().metric_tip());
+    const PoseError error = solver.tip_error(goal, result);
     return {outcome, error.position, error.orientation, solver.kinematics().branch()};
 }
 
