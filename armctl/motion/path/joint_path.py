@@ -1,8 +1,8 @@
 """From a path of the tip to a path of the joints: dense inverse kinematics on one branch, computed before the arm moves.
 
 The joints follow the path's twist through the Jacobian's weighted pseudo-inverse (Chan and Dubey, "A weighted least-norm
-solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by Runge and Kutta's
-fourth-order rule, and Newton's method brings the tip back onto the path at each step. A spline of degree five joins the steps.
+solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by the midpoint
+rule, and Newton's method brings the tip back onto the path at each step. A spline of degree five joins the steps.
 
 Where a joint would leave its limits although the arm has more joints than the path needs, the walk is repeated with a
 self-motion towards the middle of the joint ranges (A. Liégeois, "Automatic supervisory control of the configuration and
