@@ -28,20 +28,14 @@ class TipFollower:
         slope: numpy.ndarray,
         length: float,
         halfway: numpy.ndarray,
-        end: numpy.ndarray,
         position: numpy.ndarray,
         rotation: numpy.ndarray,
         moved: numpy.ndarray,
     ) -> bool:
         """
-        Moves the joints a step along the path, with the twists half a step and a step further, to a pose there.
+        Moves the joints a step along the path, with the twist half a step further, to a pose there.
 
         Returns whether the tip arrives.
-        """
-
-    def distance(self, q: numpy.ndarray, position: numpy.ndarray, rotation: numpy.ndarray) -> float:
-        """
-        How far the tip is from a pose, m and rad; the point alone if not oriented.
         """
 
 class ShapeKind(enum.IntEnum):
@@ -93,9 +87,6 @@ class NearPair:
     def gradient(self) -> list[float]:
         """The derivatives (n,) of the distance by the positions of the joints."""
 
-class KeptAxis:
-    """An axis that keeps its direction."""
-
 class CollisionScene:
     """
     Distances where an arm is, with scratch memory: use an object in one thread at a time.
@@ -119,11 +110,6 @@ class CollisionScene:
         """
         The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is
         their distance less their clearance (K,).
-        """
-
-    def kept_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> KeptAxis:
-        """
-        The axis that moves with a frame and has a direction of the world (3,) at q (n,). It may tilt by an angle, rad.
         """
 
 class Hit:
@@ -160,10 +146,13 @@ class ClearanceProof:
     """
 
     def __init__(self, scene: CollisionScene) -> None: ...
-    def keep_axis(self, keep: KeptAxis | None) -> None:
+    def keep_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> None:
         """
-        Sets the axis that must keep its direction in the next proofs, or none.
+        In the next proofs, the axis that moves with a frame and has a direction of the world (3,) at q (n,) may tilt by rad.
         """
+
+    def release_axis(self) -> None:
+        """Lets all axes tilt."""
 
     def set_motion(self, knots: numpy.ndarray, coefficients: numpy.ndarray) -> None:
         """
@@ -706,13 +695,6 @@ def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from
 def make_fastest(motion: numpy.ndarray, **arguments) -> None:
     """
     Replaces a motion through K waypoints by the fastest one; armctl/cpp/waypoint_timing.hpp explains the arguments.
-    """
-
-def farthest_displacement(
-    time: float, v_start: float, a_start: float, v_end: float, a_end: float, v_max: float, a_max: float, j_max: float
-) -> tuple:
-    """
-    How far a joint can go between two states in a time, NaN if it cannot, and the derivatives by the time and the states.
     """
 
 class RrtConnect:

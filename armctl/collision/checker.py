@@ -15,7 +15,6 @@ from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, 
 
 SAMPLES = 64
 _UNIT_KNOTS = np.array([0.0, 1.0])
-_HALF_TURN = np.pi
 
 
 class _Memory(threading.local):
@@ -64,12 +63,12 @@ class CollisionChecker:
         """The proofs of this thread, with an axis that must keep its direction."""
         memory = self._memory
         if keep is None:
-            memory.proof.keep_axis(None)
+            memory.proof.release_axis()
             return memory.proof
         joints = sorted(self._joint_map.joints)
         last = joints[last_joint_above(self._model, tuple(joints))[keep.body]]
         frame = joints.index(last) + 1
-        memory.proof.keep_axis(memory.scene.kept_axis(_contiguous(keep.q), frame, _contiguous(keep.direction), keep.within))
+        memory.proof.keep_axis(_contiguous(keep.q), frame, _contiguous(keep.direction), keep.within)
         return memory.proof
 
     def tilts(self, hit: Hit) -> bool:
@@ -191,8 +190,8 @@ class CollisionChecker:
     def _proved_by_one_joint(self) -> BoolArray:
         """(K,) pairs that one joint alone moves, and that never touch over its whole range."""
         proved = np.zeros(len(self.geometry.pairs), bool)
-        low = self._joint_map.positions(np.maximum(self._limits.q_min, self._home - _HALF_TURN))
-        high = self._joint_map.positions(np.minimum(self._limits.q_max, self._home + _HALF_TURN))
+        low = self._joint_map.positions(np.maximum(self._limits.q_min, self._home - np.pi))
+        high = self._joint_map.positions(np.minimum(self._limits.q_max, self._home + np.pi))
         is_endless = ~np.isfinite(self._limits.q_max - self._limits.q_min)
         home = self._joint_map.positions(self._home)
         slides = self._model.jnt_type[list(self._joint_map.joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE)

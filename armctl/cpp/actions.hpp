@@ -35,9 +35,7 @@ struct ActionOptions {
         const bool is_cartesian = mode == ActionMode::cartesian_delta || mode == ActionMode::cartesian_pose;
         const bool has_right_size = is_cartesian ? size == 3 || size == 6 : size == n;
         if (!has_right_size || ticks == 0 || smoothing == 0 || !(dt > 0.0)) {
-            throw InputError(
-                "action: need a number for each joint, or 3 or 6 for the tip; a positive dt; and at least one tick of a step and of "
-                "smoothing");
+            throw InputError("action: need a number for each joint, or 3 or 6 for the tip; and a positive dt, ticks and smoothing");
         }
     }
 
@@ -109,13 +107,6 @@ private:
     // Square of the error in m and rad: a full action is more than a thousand times its root.
     static constexpr double reached_squared = 1e-10;
 
-    // The twist from a tip to a goal: the difference of positions, and the sine of the angle times the axis.
-    static Twist tip_error(const Pose& goal, const Pose& tip) {
-        const Rotation& R = tip.rotation;
-        const Vec3 turn = cross(R.x, goal.rotation.x) + cross(R.y, goal.rotation.y) + cross(R.z, goal.rotation.z);
-        return {goal.translation - tip.translation, 0.5 * turn};
-    }
-
     void move_tip(Vector action, Result target) {
         const Pose origin = options_.mode == ActionMode::cartesian_delta ? tip(target) : options_.T_world_home;
         const auto scaled = [action](double scale, size_t k) {
@@ -135,7 +126,7 @@ private:
     void follow(const Pose& goal, Result target) {
         copy(target, start_);
         for (int iteration = 0; iteration < max_iterations; ++iteration) {
-            std::array<double, 6> twist = numbers(tip_error(goal, tip(target)));
+            std::array<double, 6> twist = numbers(difference(tip(target), goal));
             const Result error = Result(twist).first(components_);
             if (dot(error, error) < reached_squared) { return; }
             const Matrix J = dynamics_.tip_jacobian();

@@ -16,14 +16,8 @@ struct PoseError {
     double orientation;  // rad
 };
 
-// The distance of two points, in their unit of length; finite, also if its square overflows.
-inline double distance(Vec3 away) {
-    const double squared = dot(away, away);
-    if (squared < std::numeric_limits<double>::infinity()) { return std::sqrt(squared); }
-    const double largest = std::max(std::max(std::abs(away.x), std::abs(away.y)), std::abs(away.z));
-    const Vec3 share{away.x / largest, away.y / largest, away.z / largest};
-    return std::min(largest * norm(share), 1.7e308);
-}
+// The length of a vector; finite, also if its square overflows.
+inline double distance(Vec3 away) { return std::min(std::hypot(away.x, away.y, away.z), 1.7e308); }
 
 // The errors of a tip, in the unit of length of both poses. They are finite.
 inline PoseError residual(Constraint constraint, const Pose& target, const Pose& tip) {
@@ -34,9 +28,7 @@ inline PoseError residual(Constraint constraint, const Pose& target, const Pose&
     const Vec3 y = tip.rotation.y - target.rotation.y;
     const Vec3 z = tip.rotation.z - target.rotation.z;
     if (constraint == Constraint::pose) {
-        const double squared_chord =
-            x.x * x.x + y.x * y.x + z.x * z.x + x.y * x.y + y.y * y.y + z.y * z.y + x.z * x.z + y.z * y.z + z.z * z.z;
-        return {away, 2.0 * std::asin(std::min(1.0, std::sqrt(squared_chord / 8.0)))};
+        return {away, 2.0 * std::asin(std::min(1.0, std::sqrt((dot(x, x) + dot(y, y) + dot(z, z)) / 8.0)))};
     }
     const Vec3 chord = axis_of({x, y, z}, free_axis(constraint));
     return {away, 2.0 * std::asin(std::min(1.0, std::sqrt(dot(chord, chord) / 4.0)))};
@@ -80,10 +72,6 @@ public:
 
     // The Jacobian of the tip where the joints are placed: a twist for each unknown, world axes.
     void find_jacobian() {
-        if (!chain_->has_followers()) {
-            for (size_t j = 0; j < lines_.size(); ++j) { jacobian_[j] = joint_twist(j); }
-            return;
-        }
         std::ranges::fill(jacobian_, Twist{});
         for (size_t j = 0; j < lines_.size(); ++j) {
             const ChainJoint& joint = chain_->joints()[j];
@@ -124,13 +112,10 @@ public:
         } else {
             const Vec3 direction = axis(a);
             first = volume(direction, point(a + 1) - point(a), point(a + 2) - point(a));
-            if (is_first_pair == (special.pair_relation == AxesRelation::meet)) {
-                second = volume(direction, axis(h), point(g) - point(h));
-                third = volume(axis(g), axis(f), direction);
-            } else {
-                second = volume(direction, axis(f), point(g) - point(f));
-                third = volume(axis(g), axis(h), direction);
-            }
+            const bool last_turns_plane = is_first_pair == (special.pair_relation == AxesRelation::meet);
+            const size_t u = last_turns_plane ? h : f;
+            second = volume(direction, axis(u), point(g) - point(u));
+            third = volume(axis(g), axis(last_turns_plane ? f : h), direction);
         }
         return 9 * sign_code(first) + 3 * sign_code(second) + sign_code(third);
     }
@@ -143,8 +128,8 @@ public:
     const std::vector<Twist>& jacobian() const { return jacobian_; }
 
 private:
-    static constexpr double SINGULAR =
-        1e-6;  // a factor of the Jacobian's determinant, in reaches and sines: below it, its sign means nothing
+    // A factor of the Jacobian's determinant, in reaches and sines: below it, its sign means nothing.
+    static constexpr double SINGULAR = 1e-6;
 
     // The triple product a . (b x c).
     static double volume(Vec3 a, Vec3 b, Vec3 c) { return dot(a, cross(b, c)); }

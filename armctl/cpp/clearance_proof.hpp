@@ -9,7 +9,6 @@
 
 namespace armctl {
 
-constexpr size_t MAX_WAITING = 8192;      // intervals that wait, about: then the search goes on depth first
 constexpr size_t MAX_INTERVALS = 100000;  // in all, at most, and more for each piece of the motion: beyond that it counts as not free
 constexpr size_t MAX_INTERVALS_PER_PIECE = 1000;
 constexpr double MIN_MOTION_M = 1e-4;  // an interval in which no point moves farther is not split again: the pair then counts as not free
@@ -65,18 +64,6 @@ public:
         }
     }
 
-    // The same for several pieces together, and the middle of the one in their middle.
-    void bound_pieces(size_t first, size_t last, Result positions, Result delta) const {
-        std::vector<double> middles(joints_);
-        std::vector<double> ranges(joints_);
-        const size_t at = first + (last - first) / 2;
-        bound(at, 0.5 * length(at), 0.5 * length(at), positions, delta);
-        for (size_t piece = first; piece <= last; ++piece) {
-            bound(piece, 0.5 * length(piece), 0.5 * length(piece), middles, ranges);
-            for (size_t i = 0; i < joints_; ++i) { delta[i] = std::max(delta[i], std::abs(middles[i] - positions[i]) + ranges[i]); }
-        }
-    }
-
 private:
     std::vector<double> knots_;
     std::vector<double> coefficients_;
@@ -109,8 +96,13 @@ public:
 
     CollisionScene& scene() { return *scene_; }
     PolynomialMotion& motion() { return motion_; }
-    // An axis that must keep its direction, or none.
-    void set_kept_axis(const std::optional<KeptAxis>& keep) { keep_ = keep; }
+    // Sets or releases the axis that must keep its direction: it moves with a frame and has this direction where joints are now.
+    void keep_axis(Vector positions, size_t frame, Vec3 direction, double within) {
+        checked_index(static_cast<std::int64_t>(frame), scene_->model().frames.size(), "frame");
+        scene_->place_frames(positions);
+        keep_ = KeptAxis{frame, scene_->frame(frame).pose.rotation.inverse_times(direction), direction, within};
+    }
+    void release_axis() { keep_.reset(); }
     const std::optional<KeptAxis>& kept_axis() const { return keep_; }
 
     // Proves that all pairs, or only one, keep more than a clearance.
@@ -146,48 +138,37 @@ public:
     }
 
 private:
-    // Pieces of the motion, or a part of one piece; times count from the piece's knot.
+    // A part of a piece of the motion; times count from the piece's knot.
     struct Interval {
-        size_t first_piece;
-        size_t last_piece;
+        size_t piece;
         double begin;  // s
         double end;
         std::shared_ptr<const std::vector<size_t>> open_pairs;  // those that are not settled
-        bool tilt_is_open;
     };
 
     // What is known of a pair, or of the kept axis, in an interval.
     enum class Verdict { free, open, not_free };
 
-    // Notes the whole motion as the first interval.
+    // Notes all pieces of the motion as the first intervals.
     void begin_proof(std::optional<size_t> only_pair) {
         std::vector<size_t> pairs(only_pair ? 1 : scene_->model().pairs.size());
         std::iota(pairs.begin(), pairs.end(), only_pair.value_or(0));
         checked_ = 0;
         waiting_.clear();
-        append_pieces(0, motion_.pieces() - 1, std::make_shared<const std::vector<size_t>>(std::move(pairs)), keep_.has_value());
-    }
-
-    void append_pieces(size_t first, size_t last, std::shared_ptr<const std::vector<size_t>> open_pairs, bool tilt_is_open) {
-        waiting_.push_back({first, last, 0.0, motion_.length(first), std::move(open_pairs), tilt_is_open});
+        const auto open = std::make_shared<const std::vector<size_t>>(std::move(pairs));
+        for (size_t piece = 0; piece < motion_.pieces(); ++piece) { waiting_.push_back({piece, 0.0, motion_.length(piece), open}); }
     }
 
     // Settles intervals until none is left or a pair is not free; the joints are then where it is.
     //
-    // Intervals are split breadth first, so that contacts are found early, and depth first as long as many wait. Both parts inherit
-    // the pairs that are open. A proof that stopped goes on with the same interval.
+    // Intervals are split breadth first, so that contacts are found early. Both parts inherit the pairs that are open. A proof that
+    // stopped goes on with the same interval.
     std::optional<Hit> continue_proof(double clearance) {
         while (!waiting_.empty()) {
-            const bool takes_last = waiting_.size() > MAX_WAITING;
-            const auto [first, last, begin, end, inherited, tilt_was_open] = takes_last ? waiting_.back() : waiting_.front();
-            const size_t piece = first + (last - first) / 2;
+            const auto [piece, begin, end, inherited] = waiting_.front();
             const double middle = 0.5 * (begin + end);
-            const double time = motion_.knot(piece) + (first == last ? middle : 0.5 * motion_.length(piece));
-            if (first == last) {
-                motion_.bound(piece, middle, 0.5 * (end - begin), positions_, delta_);
-            } else {
-                motion_.bound_pieces(first, last, positions_, delta_);
-            }
+            const double time = motion_.knot(piece) + middle;
+            motion_.bound(piece, middle, 0.5 * (end - begin), positions_, delta_);
             if (++checked_ > MAX_INTERVALS + MAX_INTERVALS_PER_PIECE * motion_.pieces()) {
                 return Hit{scene_->nearest_pair(positions_).pair, time};
             }
@@ -199,23 +180,13 @@ private:
                 if (verdict == Verdict::not_free) { return Hit{p, time}; }
                 if (verdict == Verdict::open) { open_pairs.push_back(p); }
             }
-            const Verdict tilt = tilt_was_open ? check_tilt() : Verdict::free;
+            const Verdict tilt = keep_ ? check_tilt() : Verdict::free;
             if (tilt == Verdict::not_free) { return Hit{scene_->no_pair(), time}; }
-            if (takes_last) {
-                waiting_.pop_back();
-            } else {
-                waiting_.pop_front();
-            }
+            waiting_.pop_front();
             if (open_pairs.empty() && tilt == Verdict::free) { continue; }
             const auto open = std::make_shared<const std::vector<size_t>>(std::move(open_pairs));
-            const bool tilt_is_open = tilt == Verdict::open;
-            if (first == last) {
-                waiting_.push_back({piece, piece, begin, middle, open, tilt_is_open});
-                waiting_.push_back({piece, piece, middle, end, open, tilt_is_open});
-            } else {
-                append_pieces(first, piece, open, tilt_is_open);
-                append_pieces(piece + 1, last, open, tilt_is_open);
-            }
+            waiting_.push_back({piece, begin, middle, open});
+            waiting_.push_back({piece, middle, end, open});
         }
         return std::nullopt;
     }

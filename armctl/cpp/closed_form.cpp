@@ -59,8 +59,6 @@ struct Turn {
     double sin;
 
     explicit Turn(double angle) : cos(std::cos(angle)), sin(std::sin(angle)) {}
-    Turn(double cosine, double sine) : cos(cosine), sin(sine) {}
-    Turn back() const { return {cos, -sin}; }
 };
 
 // The part of a vector across an axis.
@@ -72,8 +70,11 @@ Vec3 turned(Vec3 axis, Turn turn, Vec3 a) {
     return along * axis + turn.cos * a + turn.sin * cross(axis, a);
 }
 
-// A point turned about a line.
-Vec3 moved(const Line& line, Turn turn, Vec3 a) { return line.point + turned(line.axis, turn, a - line.point); }
+// What a hinge moves as a whole, by an angle from the zero configuration.
+Pose motion(const Line& line, double angle) {
+    const Rotation turn = rotation_about(line.axis, angle);
+    return {turn, line.point - turn * line.point};
+}
 
 // A line as another frame sees it.
 Line seen_from(const Pose& X, const Line& line) {
@@ -114,7 +115,7 @@ PairAngles pair_angles(const Line& first, const Line& second, AxesRelation relat
     PairAngles pair{.doubtful = angles2.doubtful};
     for (size_t k = 0; k < angles2.count; ++k) {
         const Turn turn(angles2.angles[k]);
-        const Vec3 arm = is_parallel ? w + turned(f2, turn, r) : moved(second, turn, x) - p1;
+        const Vec3 arm = (is_parallel ? w : p2 - p1) + turned(f2, turn, r);
         const Angle angle1 = angle_between(f1, arm, end, preferred[0]);
         pair.doubtful = pair.doubtful || angle1.undetermined;
         pair.add({angle1.value, angles2.angles[k]});
@@ -123,18 +124,8 @@ PairAngles pair_angles(const Line& first, const Line& second, AxesRelation relat
 }
 
 // E_1 E_2 E_3 start = goal, for three lines of which the first two are related.
-struct PointEquation {
-    std::array<Line, 3> lines;
-    Vec3 start;
-    Vec3 goal;
-    AxesRelation relation;
-    double slack;
-    Triple preferred;
-
-    LoopAngles solve() const;
-};
-
-LoopAngles PointEquation::solve() const {
+LoopAngles point_angles(const std::array<Line, 3>& lines, Vec3 start, Vec3 goal, AxesRelation relation, double slack,
+                        const Triple& preferred) {
     const auto& [f1, p1] = lines[0];
     const auto& [f3, p3] = lines[2];
     // Axis 3 moves the point on a circle, centre + u cos t + v sin t, to where axes 2 and 1 can turn it to the goal.
@@ -172,20 +163,11 @@ struct Column {
 //
 // Without the angle of the joint in the middle, these are f2 . (E_3 u) = f2 . (E_1^-1 h) and
 // h . (E_1 p2) = u . (E_3^-1 p2) + offset.
-struct PlaneEquation {
-    std::array<Line, 3> lines;  // p2 must be the point in which f2 meets its neighbour
-    Vec3 h;
-    Vec3 u;
-    double offset;          // h . (X x) is u . x + offset for all x
-    AxesRelation relation;  // of two neighbours
-    size_t pair_first;      // of them
-    double slack;
-    Triple preferred;
-
-    LoopAngles solve() const;
-};
-
-LoopAngles PlaneEquation::solve() const {
+//
+// p2 must be the point in which f2 meets its neighbour. The offset is h . (X x) - u . x, which is the same for all x. Of the
+// axes, `pair_first` and the next one are related.
+LoopAngles plane_angles(const std::array<Line, 3>& lines, Vec3 h, Vec3 u, double offset, AxesRelation relation, size_t pair_first,
+                        double slack, const Triple& preferred) {
     const auto& [f1, p1] = lines[0];
     const auto& [f2, p2] = lines[1];
     const auto& [f3, p3] = lines[2];
@@ -212,7 +194,7 @@ LoopAngles PlaneEquation::solve() const {
         for (size_t k = 0; k < others.count; ++k) {
             const double angle1 = other == 0 ? others.angles[k] : found.angles[i];
             const double angle3 = other == 0 ? found.angles[i] : others.angles[k];
-            const Angle angle2 = angle_between(f2, turned(f3, Turn(angle3), u), turned(f1, Turn(angle1).back(), h), preferred[1]);
+            const Angle angle2 = angle_between(f2, turned(f3, Turn(angle3), u), turned(f1, Turn(-angle1), h), preferred[1]);
             loop.doubtful = loop.doubtful || angle2.undetermined;
             loop.add({angle1, angle2.value, angle3});
         }
@@ -229,7 +211,7 @@ SpecialAngles meeting_angles(std::span<const Line, 3> lines, Vec3 moved_b, Vec3 
     SpecialAngles special{.doubtful = pair.doubtful};
     for (size_t k = 0; k < pair.count; ++k) {
         const auto [first, middle] = pair.angles[k];
-        const Vec3 back = turned(b.axis, Turn(middle).back(), turned(a.axis, Turn(first).back(), moved_b));
+        const Vec3 back = turned(b.axis, Turn(-middle), turned(a.axis, Turn(-first), moved_b));
         // Where the third angle is undetermined, the middle one is doubtful already.
         special.add({first, middle, angle_between(c, b.axis, back, preferred[2]).value});
     }
@@ -271,14 +253,14 @@ LoopAngles SixHinges::loop_angles(const Pose& X, const std::array<Line, 3>& loop
     const auto [axis, point] = lines[first];
     if (special.relation == AxesRelation::parallel) {
         const double offset = dot(axis, X.translation);
-        return PlaneEquation{loop, axis, X.rotation.inverse_times(axis), offset, relation, special.pair_first, slack, preferred}.solve();
+        return plane_angles(loop, axis, X.rotation.inverse_times(axis), offset, relation, special.pair_first, slack, preferred);
     }
     const Vec3 start = X.rotation.inverse_times(point - X.translation);
-    if (special.pair_first == 0) { return PointEquation{loop, start, point, relation, slack, preferred}.solve(); }
+    if (special.pair_first == 0) { return point_angles(loop, start, point, relation, slack, preferred); }
     // The last two are the pair: the chain is gone through backwards.
     const auto reversed = [&loop](size_t k) { return Line{-1.0 * loop[k].axis, loop[k].point}; };
     const Triple preferred_back{preferred[2], preferred[1], preferred[0]};
-    LoopAngles found = PointEquation{{reversed(2), reversed(1), reversed(0)}, point, start, relation, slack, preferred_back}.solve();
+    LoopAngles found = point_angles({reversed(2), reversed(1), reversed(0)}, point, start, relation, slack, preferred_back);
     for (Triple& angles : found.angles) { std::swap(angles[0], angles[2]); }
     return found;
 }
@@ -297,16 +279,10 @@ SixAngles SixHinges::solve(const Pose& X, const std::array<double, 6>& preferred
     SixAngles six{.doubtful = three.doubtful};
     for (size_t i = 0; i < three.count; ++i) {
         const auto [f, g, h] = three.angles[i];
-        const Turn back[3] = {Turn(f).back(), Turn(g).back(), Turn(h).back()};
+        const Pose fgh = motion(loop[0], f) * motion(loop[1], g) * motion(loop[2], h);
         // E_a E_b E_c of the special joints, which is X (E_f E_g E_h)^-1, applied to a direction and to a point.
-        const auto directed = [&](Vec3 a) {
-            for (size_t k = 0; k < 3; ++k) { a = turned(loop[k].axis, back[k], a); }
-            return X.rotation * a;
-        };
-        const auto placed = [&](Vec3 a) {
-            for (size_t k = 0; k < 3; ++k) { a = moved(loop[k], back[k], a); }
-            return X.rotation * a + X.translation;
-        };
+        const auto directed = [&](Vec3 a) { return X.rotation * fgh.rotation.inverse_times(a); };
+        const auto placed = [&](Vec3 a) { return X * fgh.rotation.inverse_times(a - fgh.translation); };
         SpecialAngles found;
         if (special.relation == AxesRelation::meet) {
             found = meeting_angles(axes, directed(axes[1].axis), directed(axes[2].axis), preferred_special, slack);
@@ -333,14 +309,9 @@ SixHinges with_held(const SpecialAxes& special, const ZeroConfiguration& zero, d
     SixHinges six{.lines = {}, .tip = zero.tip, .special = special, .first = special.first - (held < special.first ? 1 : 0)};
     std::copy_n(zero.lines.begin(), held, six.lines.begin());
     if (held == 6 && !zero.held) { return six; }
-    const Turn turn(angle);
-    const auto& [axis, point] = zero.lines[held];
-    for (size_t k = held; k < 6; ++k) {
-        six.lines[k] = {turned(axis, turn, zero.lines[k + 1].axis), moved({axis, point}, turn, zero.lines[k + 1].point)};
-    }
-    const Rotation& tip = zero.tip.rotation;
-    six.tip.rotation = {turned(axis, turn, tip.x), turned(axis, turn, tip.y), turned(axis, turn, tip.z)};
-    six.tip.translation = moved({axis, point}, turn, zero.tip.translation);
+    const Pose moved = motion(zero.lines[held], angle);
+    for (size_t k = held; k < 6; ++k) { six.lines[k] = {moved.rotation * zero.lines[k + 1].axis, moved * zero.lines[k + 1].point}; }
+    six.tip = moved * zero.tip;
     return six;
 }
 

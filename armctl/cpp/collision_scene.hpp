@@ -229,11 +229,6 @@ public:
         return std::atan2(norm(cross(axis, keep.direction)), dot(axis, keep.direction));
     }
 
-    // The axis that has a direction of the world where the joints are placed.
-    KeptAxis kept_axis(size_t frame, Vec3 direction, double within) const {
-        return {frame, frames_[frame].pose.rotation.inverse_times(direction), direction, within};
-    }
-
     struct PlacedFrame {
         Pose pose;
         Vec3 anchor;  // of its joint, in the world
@@ -242,12 +237,11 @@ public:
     const PlacedFrame& frame(size_t index) const { return frames_[index]; }
 
 private:
-    // The nearest points of a pair, or points at the same distance along the direction from the first to the second.
+    // The distance of a pair, its direction from the first to the second, and a point on the line through the nearest points.
     struct Witness {
         double distance;
         Vec3 direction;
-        Vec3 on_first;
-        Vec3 on_second;
+        Vec3 point;
     };
 
     // The direction from center to center, in the frame of the first geom.
@@ -276,11 +270,13 @@ private:
             const Vec3 on_first = support_point(model_->geoms[model_->pairs[p].a], -v, vertex_a);
             const Vec3 on_second = support_point(model_->geoms[model_->pairs[p].b], relative.rotation.inverse_times(v), vertex_b);
             const SupportPoint support{on_first - relative * on_second, on_first};
-            if (is_decided(v, support.difference) || simplex.contains(support.difference)) { break; }
+            if (is_decided(v, support.difference)) { break; }
             simplex.add(support);
             const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
             if (!closest || dot(*closest, *closest) < OVERLAP_M2) { return std::nullopt; }
+            const bool is_nearer = step == 0 || dot(*closest, *closest) < dot(v, v);
             v = *closest;
+            if (!is_nearer) { break; }
         }
         return v;
     }
@@ -296,13 +292,12 @@ private:
     // How far the second geom of a pair must move along a direction of the world to part from the first.
     double depth_along(size_t p, Vec3 direction) const {
         const Vec3 lowest = farthest_point(model_->geoms[model_->pairs[p].b], -direction);
-        const double top = dot(direction, farthest_point(model_->geoms[model_->pairs[p].a], direction));
-        return top - direction.x * lowest.x - direction.y * lowest.y - direction.z * lowest.z;
+        return dot(direction, farthest_point(model_->geoms[model_->pairs[p].a], direction) - lowest);
     }
 
     Witness plane_witness(const Geom& plane, const Geom& other) const {
         const Vec3 lowest = farthest_point(other, -plane.normal());
-        return {dot(plane.normal(), lowest) - plane.offset, plane.normal(), lowest, lowest};
+        return {dot(plane.normal(), lowest) - plane.offset, plane.normal(), lowest};
     }
 
     Witness witness(size_t p) const {
@@ -327,9 +322,8 @@ private:
         const std::optional<Vec3> v = closest_point(p, relative, simplex, has_converged);
         if (!v) { return std::nullopt; }
         const double length = norm(*v);
-        const Vec3 on_first = pose * simplex.witness_on_first();
         const Vec3 direction = pose.rotation * Vec3{-v->x / length, -v->y / length, -v->z / length};
-        return Witness{length, direction, on_first, on_first};  // the other point is along the direction
+        return Witness{length, direction, pose * simplex.witness_on_first()};
     }
 
     // The direction in which an overlapping pair parts soonest, improved from a lattice: displace the second geom along a
@@ -347,8 +341,7 @@ private:
                 best.direction = direction;
             }
         }
-        best.on_first = farthest_point(first, best.direction);
-        best.on_second = best.on_first;
+        best.point = farthest_point(first, best.direction);
         for (int step = 0; step < MAX_DEPTH_STEPS; ++step) {
             const Vec3 displacement = (depth + PARTED_M) * best.direction;
             const std::optional<Witness> apart = witness_apart(p, displacement);
@@ -356,8 +349,7 @@ private:
                 break;
             }
             best.direction = apart->direction;
-            best.on_first = apart->on_first;
-            best.on_second = apart->on_first - displacement;
+            best.point = apart->point;
             const double along = dot(displacement, best.direction) - apart->distance;
             const bool has_converged = along > depth - DEPTH_GAP_M;
             depth = along;
@@ -372,12 +364,11 @@ private:
         const CollisionPair& pair = model_->pairs[p];
         Numbers gradient(model_->joints());
         for (const bool is_first : {true, false}) {
-            const Vec3 point = is_first ? witness.on_first : witness.on_second;
             const double sign = is_first ? -1.0 : 1.0;
             for (size_t walk = model_->geoms[is_first ? pair.a : pair.b].frame; walk != pair.common; walk = model_->frames[walk].parent) {
                 const MovingFrame& moving = model_->frames[walk];
                 const PlacedFrame& placed = frames_[walk];
-                const Vec3 velocity = moving.slides ? placed.axis : cross(placed.axis, point - placed.anchor);
+                const Vec3 velocity = moving.slides ? placed.axis : cross(placed.axis, witness.point - placed.anchor);
                 gradient[moving.joint] += sign * dot(velocity, witness.direction);
             }
         }

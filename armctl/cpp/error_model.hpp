@@ -27,7 +27,7 @@ using BoundsOf = Bounds Unknown::*;
 // chain. It has scratch memory: one object for each thread.
 class ErrorModel {
 public:
-    explicit ErrorModel(const Chain& chain) : n_(chain.n()), kinematics_(chain), states_(n_) {}
+    explicit ErrorModel(const Chain& chain) : n_(chain.n()), kinematics_(chain), states_(n_), best_(n_) {}
 
     const Chain& chain() const { return kinematics_.chain(); }
     ChainKinematics& kinematics() { return kinematics_; }
@@ -141,13 +141,8 @@ public:
     double hessian(size_t i, size_t j) const { return i < j ? normal_(j, i) : normal_(i, j); }
 
     // Remembers a configuration, and takes it back.
-    void keep_best(Vector q) {
-        for (size_t i = 0; i < n_; ++i) { states_[i].best = q[i]; }
-    }
-
-    void take_best(Result q) const {
-        for (size_t i = 0; i < n_; ++i) { q[i] = states_[i].best; }
-    }
+    void keep_best(Vector q) { copy(q, best_); }
+    void take_best(Result q) const { copy(best_, q); }
 
 private:
     static constexpr double MIN_SINE = 1e-9;  // below it a rotation's axis is lost to rounding
@@ -161,7 +156,6 @@ private:
     struct State {
         double gradient;
         double step;
-        double best;           // the unknown in the configuration that is kept
         double rhs;            // right-hand side of the linear system, then of the triangular one
         double inverse_pivot;  // of its factor L D L^T
         bool at_bound;
@@ -177,26 +171,16 @@ private:
 
     // The rotation vector from the tip to the goal; with a free axis the shortest one that aligns the two axes.
     Vec3 rotation_error(const Goal& goal) const {
-        const bool is_pose = goal.constraint == Constraint::pose;
         const Rotation& tip = kinematics_.tip().rotation;
-        Vec3 axis;
-        double cos = 0.0;
-        if (is_pose) {
-            // Half of the sum of cross products of the columns, and the trace.
-            axis = cross(tip.x, goal.pose.rotation.x) + cross(tip.y, goal.pose.rotation.y) + cross(tip.z, goal.pose.rotation.z);
-            axis = 0.5 * axis;
-            cos = dot(tip.x, goal.pose.rotation.x) + dot(tip.y, goal.pose.rotation.y) + dot(tip.z, goal.pose.rotation.z);
-            cos = 0.5 * (cos - 1.0);
-        } else {
-            const int free = free_axis(goal.constraint);
-            axis = cross(axis_of(tip, free), axis_of(goal.pose.rotation, free));
-            cos = dot(axis_of(tip, free), axis_of(goal.pose.rotation, free));
-        }
+        if (goal.constraint == Constraint::pose) { return rotation_vector(tip, goal.pose.rotation); }
+        const int free = free_axis(goal.constraint);
+        const Vec3 wanted = axis_of(goal.pose.rotation, free);
+        const Vec3 axis = cross(axis_of(tip, free), wanted);
+        const double cos = dot(axis_of(tip, free), wanted);
         const double sin = norm(axis);
         if (sin > MIN_SINE) { return (std::atan2(sin, cos) / sin) * axis; }
-        if (cos >= 0.0) { return {}; }
         // Half a turn, about any axis across the free one.
-        return is_pose ? rotation_vector(tip, goal.pose.rotation) : std::numbers::pi * axis_of(tip, (free_axis(goal.constraint) + 1) % 3);
+        return cos >= 0.0 ? Vec3{} : std::numbers::pi * axis_of(tip, (free + 1) % 3);
     }
 
     // Solves (J^T J + damping I) step = gradient for the unknowns not at a bound; the others keep their step.
@@ -239,6 +223,7 @@ private:
     ChainKinematics kinematics_;
     Twist error_;                 // weighted
     std::vector<State> states_;   // (n,)
+    Numbers best_;                // the configuration that is kept
     DenseMatrix normal_{n_, n_};  // the lower triangle of the Hessian
     DenseMatrix factor_{n_, n_};  // L
 };

@@ -57,7 +57,6 @@ struct Starts {
 struct SearchOutcome {
     bool solved;
     bool jumped;              // whether the result is far from q0 although the tip began near the target
-    bool tip_is_known;        // whether the chain is placed at the result
     std::int64_t next_start;  // the start after the last one used
     std::int64_t steps;
 };
@@ -100,7 +99,7 @@ public:
         const Tolerances tolerances = in_reaches(target.tolerances);
         const std::int64_t last = is_beyond(goal, tolerances.position) ? starts.first + 1 : starts.last;
         double best = INF;
-        SearchOutcome outcome{.solved = false, .jumped = false, .tip_is_known = false, .next_start = starts.first, .steps = 0};
+        SearchOutcome outcome{.solved = false, .jumped = false, .next_start = starts.first, .steps = 0};
         bool began_near = false;
         bool free_solved = false;
         while (outcome.next_start < last && !outcome.solved && is_promising(outcome.next_start - starts.first, free_solved, best)) {
@@ -126,11 +125,10 @@ public:
                 std::ranges::copy(trial_, q.begin());
             }
         }
-        const bool unwound = unwind(q0, q);
+        unwind(q0, q);
         double farthest = 0.0;
         for (size_t i = 0; i < q.size(); ++i) { farthest = std::max(farthest, std::abs(q[i] - q0[i])); }
         outcome.jumped = began_near && farthest > JUMP_RAD;
-        outcome.tip_is_known = outcome.solved && !unwound;
         return outcome;
     }
 
@@ -242,24 +240,17 @@ private:
     void turn_inside(Result q) const {
         for (size_t i = 0; i < q.size(); ++i) {
             const auto& [bounds, free_bounds, one_turn, period] = chain().unknowns()[i];
-            if (period > 0 && bounds.high - bounds.low < INF) {
-                q[i] += period * std::nearbyint((0.5 * (bounds.low + bounds.high) - q[i]) / period);
-            }
-            q[i] = bounds.clamp(q[i]);
+            const double middle = 0.5 * (bounds.low + bounds.high);
+            q[i] = bounds.clamp(std::isfinite(middle) ? wound(q[i], middle, free_bounds, period) : q[i]);
         }
     }
 
-    // Adds or removes whole turns of the hinges if that is nearer to q0 and inside the bounds. Returns whether q changed.
-    bool unwind(Vector q0, Result q) const {
-        bool changed = false;
+    // Adds or removes whole turns of the hinges if that is nearer to q0 and inside the bounds.
+    void unwind(Vector q0, Result q) const {
         for (size_t i = 0; i < q.size(); ++i) {
-            const auto& [bounds, free_bounds, one_turn, period] = chain().unknowns()[i];
-            double turns = period > 0 ? std::nearbyint((q0[i] - q[i]) / period) : 0.0;
-            while (turns != 0 && !bounds.contain(q[i] + turns * period)) { turns -= turns > 0 ? 1.0 : -1.0; }
-            if (turns != 0) { q[i] += turns * period; }
-            changed = changed || turns != 0;
+            const Unknown& unknown = chain().unknowns()[i];
+            q[i] = wound(q[i], q0[i], unknown.bounds, unknown.period);
         }
-        return changed;
     }
 
     ErrorModel model_;

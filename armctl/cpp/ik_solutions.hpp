@@ -35,8 +35,9 @@ inline bool wind_inside(const Chain& chain, Vector q0, Result q) {
     return true;
 }
 
-// A solution that `polish` keeps; its configuration is in a row of its own.
+// A solution that `polish` keeps.
 struct Kept {
+    std::vector<double> q;
     PoseError error;
     int branch;
     double squared_distance;  // from q0
@@ -74,8 +75,6 @@ inline Solutions polish(IkSolver& solver, const Target& target, Vector q0, Matri
     const Chain& chain = solver.chain();
     const size_t n = chain.n();
     const Tolerances exact{EXACT.position * chain.reach(), EXACT.orientation};
-    std::vector<double> configurations(seeds.rows * n);
-    const MatrixResult kept_q{configurations.data(), seeds.rows, n};
     std::vector<Kept> kept;
     std::vector<double> trial(n);
     Solutions polished;
@@ -96,7 +95,7 @@ inline Solutions polish(IkSolver& solver, const Target& target, Vector q0, Matri
         }
         bool is_known = false;
         for (size_t k = kept.size() - std::min(kept.size(), NEIGHBOURS); k < kept.size(); ++k) {
-            is_known = is_known || is_same(chain, trial, kept_q.row(k));
+            is_known = is_known || is_same(chain, trial, kept[k].q);
         }
         if (is_known) { continue; }
         double squared_distance = 0.0;
@@ -104,19 +103,15 @@ inline Solutions polish(IkSolver& solver, const Target& target, Vector q0, Matri
             const double away = trial[i] - q0[i];
             squared_distance += away * away;
         }
-        std::ranges::copy(trial, kept_q.row(kept.size()).begin());
-        kept.push_back({error, solver.kinematics().branch(), squared_distance});
+        kept.push_back({trial, error, solver.kinematics().branch(), squared_distance});
     }
     polished.count = kept.size();
-    std::vector<size_t> order(kept.size());
-    for (size_t k = 0; k < order.size(); ++k) { order[k] = k; }
-    std::ranges::stable_sort(order, {}, [&](size_t k) { return kept[k].squared_distance; });
-    for (size_t k = 0; k < order.size(); ++k) {
-        const Kept& solution = kept[order[k]];
-        std::ranges::copy(kept_q.row(order[k]), rows.q.row(k).begin());
-        rows.position_errors[k] = solution.error.position;
-        rows.orientation_errors[k] = solution.error.orientation;
-        rows.branches[k] = solution.branch;
+    std::ranges::stable_sort(kept, {}, &Kept::squared_distance);
+    for (size_t k = 0; k < kept.size(); ++k) {
+        std::ranges::copy(kept[k].q, rows.q.row(k).begin());
+        rows.position_errors[k] = kept[k].error.position;
+        rows.orientation_errors[k] = kept[k].error.orientation;
+        rows.branches[k] = kept[k].branch;
     }
     return polished;
 }

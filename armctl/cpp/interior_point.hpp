@@ -1,6 +1,7 @@
 // Newton's method on a cost with logarithmic barriers: Boyd and Vandenberghe, "Convex Optimization", 2004, chapter 11.
 #pragma once
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <vector>
 
@@ -48,19 +49,38 @@ private:
     std::vector<double> elements_;
 };
 
+// The sum of the logarithms of slacks.
+class LogarithmSum {
+public:
+    // Returns whether the slack is positive; else the sum is not valid.
+    bool add(double slack) {
+        product_ *= slack;
+        if (!(product_ > 1e-150 && product_ < 1e150)) {  // before it under- or overflows
+            sum_ += std::log(product_);
+            product_ = 1.0;
+        }
+        return slack > 0.0;
+    }
+
+    double sum() const { return sum_ + std::log(product_); }
+
+private:
+    double sum_ = 0.0;
+    double product_ = 1.0;
+};
+
 struct BarrierSchedule {
     double first;     // weight of the barrier at the start
+    double last;      // a weight at or below it ends the search
     double factor;    // from one weight to the next
     double centered;  // share of the barrier: a Newton step that promises a smaller decrease ends the centering
 };
 
 // Minimizes from a feasible x, which is changed in place. A problem has the functions
 //     double cost(x, barrier)                                      infinite outside the bounds
-//     void add_derivatives(x, barrier, gradient, hessian)          to zeros
-//     bool is_last(x, barrier)                                     whether a smaller barrier is not worth its time
-//     size_t band_width()                                     of the Hessian
+//     void add_derivatives(x, barrier, gradient, hessian)          to zeros; an infinite number on the diagonal holds an unknown
 template <class Problem>
-void minimize_with_barriers(const Problem& problem, Result x, const BarrierSchedule& schedule) {
+void minimize_with_barriers(const Problem& problem, Result x, size_t band_width, const BarrierSchedule& schedule) {
     constexpr int max_newton_steps = 30;
     constexpr int max_halvings = 30;
     constexpr double sufficient_decrease = 1e-4;  // of the promised one: Armijo's rule
@@ -69,7 +89,7 @@ void minimize_with_barriers(const Problem& problem, Result x, const BarrierSched
     std::vector<double> gradient(count);
     std::vector<double> step(count);
     std::vector<double> trial(count);
-    BandMatrix hessian(count, problem.band_width());
+    BandMatrix hessian(count, band_width);
     double barrier = schedule.first;
     while (true) {
         double cost = problem.cost(x, barrier);
@@ -94,7 +114,7 @@ void minimize_with_barriers(const Problem& problem, Result x, const BarrierSched
             std::copy(trial.begin(), trial.end(), x.begin());
             cost = trial_cost;
         }
-        if (problem.is_last(x, barrier)) { return; }
+        if (barrier <= schedule.last) { return; }
         barrier *= schedule.factor;
     }
 }

@@ -24,31 +24,9 @@ constexpr double barrier_from_constant = 2e-5;
 constexpr double barrier_from_near = 1e-7;
 constexpr double path_barrier_last = 5e-9;
 constexpr double path_barrier_factor = 0.05;
-constexpr double smallest_product = 1e-200;  // a product of slacks is replaced by its logarithm before it underflows
-constexpr double start_constant = 0.9;       // of the smallest bound on the squared path speed
-constexpr double start_near = 0.98;          // of a solution for bounds that are a little different
-constexpr double start_factor = 0.8;         // until the start is inside all bounds
-
-// The bounds at P points, each of which lies in an interval; the weights are those of its three coefficients.
-struct SpeedBounds {
-    explicit SpeedBounds(const Arguments& a) : arguments(a) {}
-
-    const Arguments& arguments;
-    size_t P = arguments.length("interval");
-    Integers interval = arguments.integers(P, "interval");
-    Matrix weights = arguments.matrix(P, 3, "weights");       // of c in b
-    Vector b_max = arguments.vector(P, "b_max");              // 0 where another point bounds b
-    Integers force_end = arguments.integers(P, "force_end");  // behind the last of its force bounds
-    size_t F = arguments.length("damping");                   // low <= weights . c + damping w <= high
-    Matrix force_weights = arguments.matrix(F, 3, "force_weights");
-    Vector damping = arguments.vector(F, "damping");
-    Vector low = arguments.vector(F, "low");
-    Vector high = arguments.vector(F, "high");
-    Integers jerk_end = arguments.integers(P, "jerk_end");  // behind the last of its jerk bounds
-    size_t J = arguments.length("j_max");                   // |weights . c| w <= j_max
-    Matrix jerk_weights = arguments.matrix(J, 3, "jerk_weights");
-    Vector j_max = arguments.vector(J, "j_max");
-};
+constexpr double start_constant = 0.9;  // of the smallest bound on the squared path speed
+constexpr double start_near = 0.98;     // of a solution for bounds that are a little different
+constexpr double start_factor = 0.8;    // until the start is inside all bounds
 
 // The three coefficients of an interval.
 inline Vec3 coefficients_of(Vector c, size_t interval) { return vec3(c.subspan(interval, 3)); }
@@ -65,18 +43,24 @@ inline void add(size_t k, Vec3 weights, double slope, double curvature, Result g
 // The problem for `minimize_with_barriers`: time plus barrier.
 class PathTiming {
 public:
-    PathTiming(double interval_length, const SpeedBounds& bounds, size_t intervals)
-        : h_(interval_length), intervals_(intervals), bounds_(bounds) {
-        for (size_t p = 0; p < bounds.interval.size(); ++p) {
-            checked_index(bounds.interval[p], intervals, "interval");
-            checked_index(bounds.force_end[p], bounds.low.size() + 1, "force_end");
-            checked_index(bounds.jerk_end[p], bounds.j_max.size() + 1, "jerk_end");
+    // Of bounds at P points, each of which lies in an interval; the weights are those of its three coefficients.
+    PathTiming(const Arguments& given, double interval_length, size_t coefficients) : given_(given), h_(interval_length) {
+        if (coefficients < 3) { throw InputError("coefficients: need at least 3, of one interval"); }
+        intervals_ = coefficients - 2;
+        for (size_t p = 0; p < P_; ++p) {
+            checked_index(interval_[p], intervals_, "interval");
+            checked_index(force_end_[p], F_ + 1, "force_end");
+            checked_index(jerk_end_[p], J_ + 1, "jerk_end");
         }
     }
 
+    // Fills the coefficients of b for the least time; false if no path speed is found that keeps the bounds.
+    //
+    // From near the solution, `c` holds the solution for bounds that are a little different; otherwise the search starts from a
+    // constant speed.
     bool solve(bool from_near, Result c) const {
         double smallest_bound = INFINITE;
-        for (const double b_max : bounds_.b_max) {
+        for (const double b_max : b_max_) {
             if (b_max > 0) { smallest_bound = std::min(smallest_bound, b_max); }
         }
         for (double& value : c) { value = from_near ? start_near * value : start_constant * smallest_bound; }
@@ -85,131 +69,93 @@ public:
             const double largest = *std::max_element(c.begin(), c.end());
             if (!(largest > std::numeric_limits<double>::min() && largest < INFINITE)) { return false; }
         }
+        const double duration = h_ * static_cast<double>(intervals_);  // at the path speed 1
         const double first = from_near ? barrier_from_near : barrier_from_constant;
-        minimize_with_barriers(*this, c, BarrierSchedule{.first = first * duration(), .factor = path_barrier_factor, .centered = 1.0});
+        minimize_with_barriers(*this, c, 3, {first * duration, path_barrier_last * duration, path_barrier_factor, 1.0});
         return true;
     }
 
     double cost(Vector c, double barrier) const {
         double time = 0.0;
         for (size_t m = 0; m < intervals_; ++m) {
-            const double left = 0.5 * (c[m] + c[m + 1]);
-            const double middle = (c[m] + 6 * c[m + 1] + c[m + 2]) / 8;
-            const double right = 0.5 * (c[m + 1] + c[m + 2]);
-            if (left <= 0 || middle <= 0 || right <= 0) { return INFINITE; }
-            time += h_ / 6.0 * (1 / std::sqrt(left) + 4 / std::sqrt(middle) + 1 / std::sqrt(right));
-        }
-        double logs = 0.0;
-        double product = 1.0;
-        const auto multiply = [&](double slack) {
-            product *= slack;
-            if (product < smallest_product) {
-                logs += std::log(product);
-                product = 1.0;
-            }
-        };
-        size_t force = 0;
-        size_t jerk = 0;
-        for (size_t p = 0; p < bounds_.interval.size(); ++p) {
-            const Vec3 three = coefficients_of(c, interval(p));
-            const double b = dot(vec3(bounds_.weights.row(p)), three);
-            const double b_max = bounds_.b_max[p];
-            if (b <= 0 || (b_max > 0 && b >= b_max)) { return INFINITE; }
-            if (b_max > 0) { product *= 1 - b / b_max; }
-            const double w = std::sqrt(b);
-            for (; force < force_end(p); ++force) {
-                const double y = dot(vec3(bounds_.force_weights.row(force)), three) + bounds_.damping[force] * w;
-                const double above = bounds_.high[force] - y;
-                const double below = y - bounds_.low[force];
-                if (above <= 0 || below <= 0) { return INFINITE; }
-                const double width = bounds_.high[force] - bounds_.low[force];
-                multiply(above * below / (width * width));
-            }
-            for (; jerk < jerk_end(p); ++jerk) {
-                const double y = dot(vec3(bounds_.jerk_weights.row(jerk)), three) * w / bounds_.j_max[jerk];
-                const double slack = 1 - y * y;
-                if (slack <= 0) { return INFINITE; }
-                multiply(slack);
+            for (const SimpsonNode& node : simpson_nodes) {
+                time += h_ / 6.0 * node.weight / std::sqrt(dot(node.of_c, coefficients_of(c, m)));
             }
         }
-        return time - barrier * (logs + std::log(product));
+        LogarithmSum logs;
+        const bool is_inside = visit_bounds(c, [&logs](size_t, double slack, Vec3) { return logs.add(slack); });
+        return is_inside ? time - barrier * logs.sum() : INFINITE;
     }
 
     void add_derivatives(Vector c, double barrier, Result gradient, BandMatrix& hessian) const {
-        add_duration(c, gradient, hessian);
-        size_t force = 0;
-        size_t jerk = 0;
-        for (size_t p = 0; p < bounds_.interval.size(); ++p) {
-            const size_t m = interval(p);
-            const Vec3 three = coefficients_of(c, m);
-            const Vec3 x = vec3(bounds_.weights.row(p));
-            const double b = dot(x, three);
-            const double w = std::sqrt(b);
-            if (bounds_.b_max[p] > 0) {
-                const double slack = bounds_.b_max[p] - b;
-                add(m, x, barrier / slack, barrier / (slack * slack), gradient, hessian);
-            }
-            for (; force < force_end(p); ++force) {
-                const Vec3 weights = vec3(bounds_.force_weights.row(force));
-                const double y = dot(weights, three) + bounds_.damping[force] * w;
-                const double damping = 0.5 * bounds_.damping[force] / w;
-                const double above = 1 / (bounds_.high[force] - y);
-                const double below = 1 / (y - bounds_.low[force]);
-                const Vec3 g = weights + damping * x;
-                // The curvature of w is left out: the Hessian stays positive definite without it.
-                add(m, g, barrier * (above - below), barrier * (above * above + below * below), gradient, hessian);
-            }
-            for (; jerk < jerk_end(p); ++jerk) {
-                const Vec3 weights = vec3(bounds_.jerk_weights.row(jerk));
-                const double y = dot(weights, three);
-                const double max = bounds_.j_max[jerk] / w;
-                const double decrease = 0.5 * max / b;  // of this bound, with b
-                for (const double sign : {-1.0, 1.0}) {
-                    const double inverse = 1 / (max - sign * y);
-                    const Vec3 g = sign * weights + decrease * x;
-                    add(m, g, barrier * inverse, barrier * inverse * inverse, gradient, hessian);
-                }
-            }
-        }
-    }
-
-    bool is_last(Vector, double barrier) const { return barrier <= path_barrier_last * duration(); }
-    size_t band_width() const { return 3; }
-
-private:
-    // At the path speed 1.
-    double duration() const { return h_ * static_cast<double>(intervals_); }
-    size_t interval(size_t point) const { return static_cast<size_t>(bounds_.interval[point]); }
-    size_t force_end(size_t point) const { return static_cast<size_t>(bounds_.force_end[point]); }
-    size_t jerk_end(size_t point) const { return static_cast<size_t>(bounds_.jerk_end[point]); }
-    // The duration, by Simpson's rule in each interval.
-    void add_duration(Vector c, Result gradient, BandMatrix& hessian) const {
-        struct SimpsonNode {
-            double weight;
-            Vec3 of_c;  // in b
-        };
-        constexpr SimpsonNode nodes[] = {{1.0, {0.5, 0.5, 0.0}}, {4.0, {0.125, 0.75, 0.125}}, {1.0, {0.0, 0.5, 0.5}}};
         for (size_t m = 0; m < intervals_; ++m) {
-            for (const SimpsonNode& node : nodes) {
+            for (const SimpsonNode& node : simpson_nodes) {
                 const double b = dot(node.of_c, coefficients_of(c, m));
                 const double slope = -0.5 * node.weight * h_ / 6.0 / (b * std::sqrt(b));
                 add(m, node.of_c, slope, -1.5 * slope / b, gradient, hessian);
             }
         }
+        // The curvature of the bounds is left out: the Hessian is positive definite without it.
+        visit_bounds(c, [&](size_t m, double slack, Vec3 slope) {
+            add(m, slope, -barrier / slack, barrier / (slack * slack), gradient, hessian);
+            return true;
+        });
     }
 
+private:
+    // The duration comes from Simpson's rule in each interval.
+    struct SimpsonNode {
+        double weight;
+        Vec3 of_c;  // in b
+    };
+    static constexpr SimpsonNode simpson_nodes[] = {{1.0, {0.5, 0.5, 0.0}}, {4.0, {0.125, 0.75, 0.125}}, {1.0, {0.0, 0.5, 0.5}}};
+
+    // Calls visit(interval, slack, slope) for every bound as long as it returns true. The slack is positive inside; the slope is
+    // that by the coefficients.
+    template <class Visit>
+    bool visit_bounds(Vector c, const Visit& visit) const {
+        size_t force = 0;
+        size_t jerk = 0;
+        for (size_t p = 0; p < P_; ++p) {
+            const auto m = static_cast<size_t>(interval_[p]);
+            const Vec3 three = coefficients_of(c, m);
+            const Vec3 x = vec3(weights_.row(p));
+            const double b = dot(x, three);
+            const double w = std::sqrt(b);
+            if (b_max_[p] > 0 && !visit(m, b_max_[p] - b, -x)) { return false; }
+            for (; force < static_cast<size_t>(force_end_[p]); ++force) {
+                const Vec3 weights = vec3(force_weights_.row(force));
+                const double y = dot(weights, three) + damping_[force] * w;
+                const Vec3 slope = weights + 0.5 * damping_[force] / w * x;
+                if (!visit(m, high_[force] - y, -slope) || !visit(m, y - low_[force], slope)) { return false; }
+            }
+            for (; jerk < static_cast<size_t>(jerk_end_[p]); ++jerk) {
+                const Vec3 weights = vec3(jerk_weights_.row(jerk));
+                const double y = dot(weights, three) * w / j_max_[jerk];
+                const Vec3 slope = w / j_max_[jerk] * weights + 0.5 * y / b * x;
+                if (!visit(m, 1.0 - y, -slope) || !visit(m, 1.0 + y, slope)) { return false; }
+            }
+        }
+        return true;
+    }
+
+    const Arguments& given_;
     double h_;
     size_t intervals_;
-    SpeedBounds bounds_;
+    size_t P_ = given_.length("interval");
+    Integers interval_ = given_.integers(P_, "interval");
+    Matrix weights_ = given_.matrix(P_, 3, "weights");       // of c in b
+    Vector b_max_ = given_.vector(P_, "b_max");              // 0 where another point bounds b
+    Integers force_end_ = given_.integers(P_, "force_end");  // behind the last of its force bounds
+    size_t F_ = given_.length("damping");                    // low <= weights . c + damping w <= high
+    Matrix force_weights_ = given_.matrix(F_, 3, "force_weights");
+    Vector damping_ = given_.vector(F_, "damping");
+    Vector low_ = given_.vector(F_, "low");
+    Vector high_ = given_.vector(F_, "high");
+    Integers jerk_end_ = given_.integers(P_, "jerk_end");  // behind the last of its jerk bounds
+    size_t J_ = given_.length("j_max");                    // |weights . c| w <= j_max
+    Matrix jerk_weights_ = given_.matrix(J_, 3, "jerk_weights");
+    Vector j_max_ = given_.vector(J_, "j_max");
 };
-
-// Fills the coefficients of b for the least time; false if no path speed is found that keeps the bounds.
-//
-// From near the solution, `c` holds the solution for bounds that are a little different; otherwise the search starts from a
-// constant speed.
-inline bool fastest_path_speed(double interval_length, const SpeedBounds& bounds, bool from_near, Result c) {
-    if (c.size() < 3) { throw InputError("coefficients: need at least 3, of one interval"); }
-    return PathTiming(interval_length, bounds, c.size() - 2).solve(from_near, c);
-}
 
 }  // namespace armctl

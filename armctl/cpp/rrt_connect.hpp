@@ -1,16 +1,12 @@
 // Collision-free paths in joint space: two trees of proved lines grow towards random configurations until they meet.
 //
-// Sources: J. J. Kuffner, S. M. LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000; with
-// the dynamic domain of A. Yershova et al., "Dynamic-domain RRTs", ICRA 2005.
+// Source: J. J. Kuffner, S. M. LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000.
 #pragma once
 #include "clearance_proof.hpp"
 
 namespace armctl {
 
-constexpr double STEP = 1.0;            // the longest edge of a tree, rad (m)
-constexpr double DOMAIN_RAD = 4.0;      // A node whose extension failed takes samples from this distance only, rad
-constexpr double MIN_DOMAIN_RAD = 1.0;  // smaller domains starve a tree of few nodes
-constexpr double DOMAIN_RATE = 1e-4;    // by which a domain shrinks with each failure and grows with each success
+constexpr double STEP = 1.0;  // the longest edge of a tree, rad (m)
 constexpr double SAME_CONFIGURATION_RAD = 1e-10;
 constexpr double MIN_PROGRESS = 0.2;  // of a step, towards a target: with less, the projection on the kept axis leads away from it
 constexpr double ROUNDING = 1e-9;
@@ -71,25 +67,21 @@ public:
     Path path() const {
         Path path;
         if (!meeting_) { return path; }
-        const auto append_branch = [this, &path](Side side) {
-            std::optional<size_t> node = (*meeting_)[side];
-            while (node) {
-                path.push_back(trees_[side][*node].q);
-                node = trees_[side][*node].parent;
-            }
-        };
-        append_branch(FROM_START);
+        for (std::optional<size_t> node = (*meeting_)[FROM_START]; node; node = trees_[FROM_START][*node].parent) {
+            path.push_back(trees_[FROM_START][*node].q);
+        }
         std::reverse(path.begin(), path.end());
         path.pop_back();  // both branches end at the meeting point
-        append_branch(FROM_GOALS);
+        for (std::optional<size_t> node = (*meeting_)[FROM_GOALS]; node; node = trees_[FROM_GOALS][*node].parent) {
+            path.push_back(trees_[FROM_GOALS][*node].q);
+        }
         return path;
     }
 
 private:
     struct Node {
         Configuration q;
-        std::optional<size_t> parent;                             // none for a root
-        double domain = std::numeric_limits<double>::infinity();  // rad, from how far it takes samples
+        std::optional<size_t> parent;  // none for a root
     };
 
     using Tree = std::vector<Node>;
@@ -122,15 +114,10 @@ private:
     std::optional<size_t> extend(Tree& tree, Vector sample) {
         const size_t near = nearest(tree, sample);
         const double distance = joint_distance(sample, tree[near].q);
-        double& domain = tree[near].domain;
         const bool is_full = std::max(trees_[FROM_START].size(), trees_[FROM_GOALS].size()) >= capacity_;
-        if (distance > domain || distance < SAME_CONFIGURATION_RAD || is_full) { return std::nullopt; }
+        if (distance < SAME_CONFIGURATION_RAD || is_full) { return std::nullopt; }
         const bool is_level = step_towards(tree[near].q, sample, std::min(1.0, step_ / distance));
-        if (!is_level || !edge_is_free(tree[near].q, trial_)) {
-            domain = std::isinf(domain) ? DOMAIN_RAD : std::max(MIN_DOMAIN_RAD, domain * (1.0 - DOMAIN_RATE));
-            return std::nullopt;
-        }
-        domain *= 1.0 + DOMAIN_RATE;
+        if (!is_level || !edge_is_free(tree[near].q, trial_)) { return std::nullopt; }
         return add(tree, trial_, near);
     }
 

@@ -1,18 +1,12 @@
 // Joints that keep the tip on a path, step by step.
 //
 // The joints follow the twist of the path through the weighted pseudo-inverse of the Jacobian (Chan and Dubey, "A weighted
-// least-norm solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by Runge and
-// Kutta's fourth-order rule, and Newton's method brings the tip back onto the path at each step.
+// least-norm solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by the midpoint
+// rule, and Newton's method brings the tip back onto the path at each step.
 #pragma once
 #include "dynamics.hpp"
 
 namespace armctl {
-
-// A point of a path: where the tip is, and its twist by the length of the path, linear first, world axes.
-struct PathPoint {
-    Pose pose;
-    Vector twist;
-};
 
 // It has scratch memory: use an object in one thread at a time. No call allocates memory.
 class TipFollower {
@@ -20,7 +14,7 @@ public:
     // The ranges of the joints, (n,) each; a joint without bounds has infinite ones. Where a path leaves joints free, they go
     // to the middle of their ranges at the rate `centering`. An oriented path prescribes the tip's orientation too.
     TipFollower(const Model& model, Vector q_min, Vector q_max, double centering, bool oriented)
-        : dynamics_(model), centering_(centering), square_(oriented ? 6 : 3, oriented ? 6 : 3), velocity_(model->n()), change_(model->n()) {
+        : dynamics_(model), centering_(centering), square_(oriented ? 6 : 3, oriented ? 6 : 3), velocity_(model->n()) {
         for (size_t i = 0; i < model->n(); ++i) {
             const bool is_bounded = std::isfinite(q_min[i]) && std::isfinite(q_max[i]) && q_max[i] > q_min[i];
             ranges_.push_back(is_bounded ? JointRange{q_min[i], q_max[i] - q_min[i]} : JointRange{0.0, 0.0});
@@ -45,39 +39,24 @@ public:
         for (size_t i = 0; i < n(); ++i) { v[i] += centering_speed(i, q[i]); }
     }
 
-    // Moves the joints from q (n,), where they have a slope (n,), a step along the path. `halfway` is the twist half a step
-    // further. Returns whether the tip arrives.
-    bool step(Vector q, Vector slope_here, double length, Vector halfway, const PathPoint& end, Result moved) {
+    // Moves the joints from q (n,), where they have a slope (n,), a step along the path to a pose of the tip. `halfway` is the twist
+    // half a step further, by the length of the path, linear first, world axes. Returns whether the tip arrives.
+    bool step(Vector q, Vector slope_here, double length, Vector halfway, const Pose& end, Result moved) {
         const Result v = velocity_;
-        std::ranges::fill(change_, 0.0);
-        copy(slope_here, v);
-        for (int stage = 0; stage < 4; ++stage) {
-            const bool is_inner = stage == 1 || stage == 2;
-            const double weight = is_inner ? 2.0 : 1.0;
-            for (size_t i = 0; i < n(); ++i) { change_[i] += length / 6.0 * weight * v[i]; }
-            if (stage == 3) { break; }
-            const bool reaches_end = stage == 2;
-            for (size_t i = 0; i < n(); ++i) { moved[i] = q[i] + (reaches_end ? 1.0 : 0.5) * length * v[i]; }
-            slope(moved, reaches_end ? end.twist : halfway, v);
-        }
+        for (size_t i = 0; i < n(); ++i) { moved[i] = q[i] + 0.5 * length * slope_here[i]; }
+        slope(moved, halfway, v);
         for (size_t i = 0; i < n(); ++i) {
-            if (!(std::abs(change_[i]) <= max_change)) { return false; }
-            moved[i] = q[i] + change_[i];
+            if (!(std::abs(length * v[i]) <= max_change)) { return false; }
+            moved[i] = q[i] + length * v[i];
         }
         const Result missing = Result(twist_).first(rows());
         for (int iteration = 0; iteration < max_newton_iterations; ++iteration) {
             dynamics_.locate(moved);
-            if (error(end.pose, missing) < newton_tolerance) { return true; }
+            if (error(end, missing) < newton_tolerance) { return true; }
             least_velocities(moved, missing, v);
             for (size_t i = 0; i < n(); ++i) { moved[i] += v[i]; }
         }
         return false;
-    }
-
-    // How far the tip at q (n,) is from a pose, m and rad.
-    double distance(Vector q, const Pose& goal) {
-        dynamics_.locate(q);
-        return error(goal, Result(twist_).first(rows()));
     }
 
 private:
@@ -134,7 +113,7 @@ private:
     double centering_;
     DenseMatrix square_;  // of the tip's Jacobian, weighted
     std::array<double, 6> twist_{};
-    Numbers velocity_, change_;  // (n,)
+    Numbers velocity_;  // (n,)
 };
 
 }  // namespace armctl

@@ -1,9 +1,8 @@
 """move_free: from one configuration to a goal around all obstacles, proved over the whole motion.
 
 The path has straight lines in joint space, each proved over its whole length. RRT-Connect: J. J. Kuffner, S. M. LaValle,
-"RRT-Connect: an efficient approach to single-query path planning", ICRA 2000; with the dynamic domain of A. Yershova et al.,
-"Dynamic-domain RRTs", ICRA 2005. Shortcuts: R. Geraerts, M. H. Overmars, "Creating high-quality paths for motion planning",
-IJRR 26 (2007). Samples are counted and seeded; no clock decides.
+"RRT-Connect: an efficient approach to single-query path planning", ICRA 2000. Shortcuts: R. Geraerts, M. H. Overmars,
+"Creating high-quality paths for motion planning", IJRR 26 (2007). Samples are counted and seeded; no clock decides.
 """
 
 from __future__ import annotations

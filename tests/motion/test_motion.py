@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 from synthetic import limb, motors
 
 import armctl
-from armctl import _core
-from armctl.motion.timing.otg import JointState, ProfileSolver
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.limit_check import piece_extremes, polynomial_extremes
 
@@ -210,46 +208,22 @@ def test_flowing_along_a_line_of_waypoints_does_not_stop():
     assert armctl.move_through(arm, q).duration < 1.15 * straight_on
 
 
-def random_states(rng: np.random.Generator) -> tuple[float, list[float], tuple[float, float, float]]:
-    """A time, velocities and accelerations at both its ends, and limits that they keep."""
-    v_max, a_max, j_max = rng.uniform(0.5, 3.0), rng.uniform(1.0, 15.0), 10 ** rng.uniform(1.0, 4.0)
-    a = rng.uniform(-1.0, 1.0, 2) * min(a_max, np.sqrt(2 * j_max * v_max))
-    v = rng.uniform(-1.0, 1.0, 2) * (v_max - a * a / (2 * j_max))
-    return 10 ** rng.uniform(-1.5, 0.5), [v[0], a[0], v[1], a[1]], (v_max, a_max, j_max)
-
-
-farthest = _core.farthest_displacement
-
-
-def test_in_the_least_time_a_joint_goes_exactly_as_far_as_it_can():
-    rng, found = np.random.default_rng(0), 0
-    for _ in range(400):
-        time, states, bounds = random_states(rng)
-        way = rng.uniform(-1.0, 1.0) * bounds[0] * time
-        ends = ([np.array([x]) for x in states[2 * i : 2 * i + 2]] for i in range(2))
-        start, goal = (JointState(np.array([q]), *end) for q, end in zip((0.0, way), ends, strict=True))
-        profile = ProfileSolver(*(np.array([bound]) for bound in bounds)).solve(start, goal)
-        assert profile is not None
-        forwards = farthest(profile.duration + 1e-9, *states, *bounds)[0]
-        backwards = -farthest(profile.duration + 1e-9, *(-x for x in states), *bounds)[0]
-        if np.isfinite(forwards + backwards):
-            found += 1
-            assert min(abs(forwards - way), abs(backwards - way)) < 1e-6
-    assert found > 350
-
-
-def test_the_slopes_of_the_furthest_way_are_its_differences():
-    rng, compared = np.random.default_rng(1), 0
-    for _ in range(400):
-        time, states, bounds = random_states(rng)
-        at = np.array([time, *states])
-        slopes = farthest(*at, *bounds)[1:]
-        for i, (slope, step) in enumerate(zip(slopes, np.diag(1e-6 * np.maximum(1e-3, np.abs(at))), strict=True)):
-            difference = farthest(*(at + step), *bounds)[0] - farthest(*(at - step), *bounds)[0]
-            if np.isfinite(difference):
-                compared += 1
-                assert difference / (2 * step[i]) == pytest.approx(slope, rel=1e-2, abs=1e-4)
-    assert compared > 500
+def test_one_joint_hardly_slows_down_at_waypoints_on_its_way(load):
+    arm = untiring(load(limb("a", '<site name="tip" pos="0.1 0 0"/>'), motors("a")))
+    rng = np.random.default_rng(0)
+    shares = []
+    for _ in range(60):
+        v_max, a_max, j_max = rng.uniform(0.5, 3.0, 1), rng.uniform(1.0, 15.0, 1), 10 ** rng.uniform(1.0, 4.0, 1)
+        limits = replace(arm.limits, q_min=-np.array([9.0]), q_max=np.array([9.0]), v_max=v_max, a_max=a_max, j_max=j_max)
+        quick = arm.with_limits(limits)
+        q = np.cumsum(10 ** rng.uniform(-2.0, 0.0, (6, 1)), axis=0)
+        direct = armctl.move_j(quick, q[0], q[-1]).duration
+        forwards, backwards = (armctl.move_through(quick, sign * q).duration for sign in (1.0, -1.0))
+        assert forwards == pytest.approx(backwards, rel=1e-3)
+        shares.append(forwards / direct)
+    assert min(shares) > 1.0 - 1e-9
+    assert np.percentile(shares, 20) < 1.0001
+    assert np.mean(shares) < 1.169
 
 
 def test_flowing_past_a_joint_limit_slows_down_there_only():

@@ -245,11 +245,11 @@ def test_a_line_out_of_a_joint_range_names_the_joint():
 
 def test_a_line_that_leaves_a_joint_range_between_two_steps_of_its_inverse_kinematics_is_refused():
     arm = arm_of("planar")
-    q = [1.884054104762256, 1.6954629784283122, 0.0]  # the slide is at its limit, and passes it by 0.02 mm at first
+    q = [0.5478467492858172, 0.7205094416569017, 0.0]  # the slide is at its limit, and passes it by 0.05 mm later
     with pytest.raises(
         armctl.PlanError, match=r"move_l: with the tip at .* position of extension would exceed its limit 0 m by"
     ):
-        armctl.move_l(arm, q, [-0.05619021642891754, -0.01139032076754587, 1.7094884209291357])
+        armctl.move_l(arm, q, [-0.8012030031755373, -0.16241188922336824, 0.3329439841281119])
 
 
 def test_a_bad_start_is_refused(panda):

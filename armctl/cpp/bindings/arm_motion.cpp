@@ -12,10 +12,6 @@ namespace armctl {
 
 namespace {
 
-Pose pose_of(const In& position, const In& rotation) {
-    return {Rotation::from_rows(rotation.shaped({3, 3}, "rotation")), vec3(position.vector(3, "position"))};
-}
-
 TipFollower make_follower(const Model& model, const In& q_min, const In& q_max, double centering, bool oriented) {
     return TipFollower(model, q_min.vector(model->n(), "q_min"), q_max.vector(model->n(), "q_max"), centering, oriented);
 }
@@ -36,21 +32,15 @@ void bind_arm_motion(nb::module_& module) {
             "q"_a, "twist"_a, "v"_a, "The joint velocities (n,) that make a twist of the tip.")
         .def(
             "step",
-            [](TipFollower& self, const In& q, const In& slope, double length, const In& halfway, const In& end, const In& position,
-               const In& rotation, const Out& moved) {
-                const PathPoint goal = {pose_of(position, rotation), end.vector(self.rows(), "end")};
+            [](TipFollower& self, const In& q, const In& slope, double length, const In& halfway, const In& position, const In& rotation,
+               const Out& moved) {
+                const Pose end = {Rotation::from_rows(rotation.shaped({3, 3}, "rotation")), vec3(position.vector(3, "position"))};
                 return self.step(q.vector(self.n(), "q"), slope.vector(self.n(), "slope"), length, halfway.vector(self.rows(), "halfway"),
-                                 goal, moved.vector(self.n(), "moved"));
+                                 end, moved.vector(self.n(), "moved"));
             },
-            "q"_a, "slope"_a, "length"_a, "halfway"_a, "end"_a, "position"_a, "rotation"_a, "moved"_a,
-            "Moves the joints a step along the path, with the twists half a step and a step further, to a pose there.\n\n"
-            "Returns whether the tip arrives.")
-        .def(
-            "distance",
-            [](TipFollower& self, const In& q, const In& position, const In& rotation) {
-                return self.distance(q.vector(self.n(), "q"), pose_of(position, rotation));
-            },
-            "q"_a, "position"_a, "rotation"_a, "How far the tip is from a pose, m and rad; the point alone if not oriented.");
+            "q"_a, "slope"_a, "length"_a, "halfway"_a, "position"_a, "rotation"_a, "moved"_a,
+            "Moves the joints a step along the path, with the twist half a step further, to a pose there.\n\n"
+            "Returns whether the tip arrives.");
 }
 
 }  // namespace armctl

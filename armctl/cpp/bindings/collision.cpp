@@ -36,12 +36,6 @@ std::vector<NearPair> find_near_pairs(CollisionScene& scene, const In& q, const 
     return scene.near_pairs(all_positions(scene, q), delta, share, clearances.vector(scene.model().pairs.size(), "clearances"));
 }
 
-KeptAxis make_kept_axis(CollisionScene& scene, const In& q, size_t frame, const In& direction, double within) {
-    checked_index(static_cast<std::int64_t>(frame), scene.model().frames.size(), "frame");
-    scene.place_frames(all_positions(scene, q));
-    return scene.kept_axis(frame, vec3(direction.vector(3, "direction")), within);
-}
-
 void bind_scene(nb::module_& module) {
     nb::enum_<ShapeKind>(module, "ShapeKind", nb::is_arithmetic(), "The shape of a geom.")
         .value("HULL", ShapeKind::hull)
@@ -60,7 +54,6 @@ void bind_scene(nb::module_& module) {
         .def_ro("pair", &NearPair::pair, "Its row.")
         .def_ro("distance", &NearPair::distance, "m; negative if it overlaps.")
         .def_ro("gradient", &NearPair::gradient, "The derivatives (n,) of the distance by the positions of the joints.");
-    nb::class_<KeptAxis>(module, "KeptAxis", "An axis that keeps its direction.");
     nb::class_<CollisionScene>(module, "CollisionScene",
                                "Distances where an arm is, with scratch memory: use an object in one thread at a time.")
         .def(nb::init<std::shared_ptr<const CollisionModel>>(), "model"_a)
@@ -76,16 +69,11 @@ void bind_scene(nb::module_& module) {
             "The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.")
         .def("near_pairs", &find_near_pairs, "q"_a, "moves"_a, "share"_a, "clearances"_a, Release(),
              "The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is\n"
-             "their distance less their clearance (K,).")
-        .def("kept_axis", &make_kept_axis, "q"_a, "frame"_a, "direction"_a, "within"_a,
-             "The axis that moves with a frame and has a direction of the world (3,) at q (n,). It may tilt by an angle, rad.");
+             "their distance less their clearance (K,).");
 }
 
-void keep_axis(ClearanceProof& proof, const KeptAxis* keep) {
-    if (keep != nullptr && keep->frame >= proof.scene().model().frames.size()) {
-        throw InputError("keep: the axis belongs to another model");
-    }
-    proof.set_kept_axis(keep == nullptr ? std::nullopt : std::optional(*keep));
+void keep_axis(ClearanceProof& proof, const In& q, size_t frame, const In& direction, double within) {
+    proof.keep_axis(all_positions(proof.scene(), q), frame, vec3(direction.vector(3, "direction")), within);
 }
 
 void set_motion(ClearanceProof& proof, const In& knots, const In& coefficients) {
@@ -111,7 +99,9 @@ void bind_proof(nb::module_& module) {
     nb::class_<ClearanceProof>(module, "ClearanceProof",
                                "Proofs for whole motions with scratch memory: use an object in one thread at a time.")
         .def(nb::init<std::shared_ptr<CollisionScene>>(), "scene"_a)
-        .def("keep_axis", &keep_axis, "keep"_a.none(), "Sets the axis that must keep its direction in the next proofs, or none.")
+        .def("keep_axis", &keep_axis, "q"_a, "frame"_a, "direction"_a, "within"_a,
+             "In the next proofs, the axis that moves with a frame and has a direction of the world (3,) at q (n,) may tilt by rad.")
+        .def("release_axis", &ClearanceProof::release_axis, "Lets all axes tilt.")
         .def("set_motion", &set_motion, "knots"_a, "coefficients"_a,
              "Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints by powers of the\n"
              "time since the knot, of degree 1 to 5.")

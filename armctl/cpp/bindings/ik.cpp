@@ -18,7 +18,8 @@ using Release = nb::call_guard<nb::gil_scoped_release>;
 
 // What a search for one target found, with the errors of its result in m and rad.
 struct IkAnswer : SearchOutcome {
-    PoseError error;
+    double position_error;
+    double orientation_error;
     int branch;
 };
 
@@ -37,8 +38,8 @@ IkAnswer search_one(const Chain& chain, const In& target, Constraint constraint,
     const Result result = q.vector(chain.n(), "q");
     IkSolver solver(chain);
     const SearchOutcome outcome = solver.search(goal, q0.vector(chain.n(), "q0"), {.first = 0, .last = last, .seed = seed}, result);
-    if (!outcome.tip_is_known) { solver.kinematics().place(result); }
-    return {outcome, residual(constraint, goal.pose, solver.kinematics().metric_tip()), solver.kinematics().branch()};
+    const PoseError error = solver.tip_error(goal, result);
+    return {outcome, error.position, error.orientation, solver.kinematics().branch()};
 }
 
 void search(const Chain& chain, const In& targets, Constraint constraint, double position_tolerance, double orientation_tolerance,
@@ -137,10 +138,8 @@ void bind_chain(nb::module_& module) {
         .def_ro("jumped", &IkAnswer::jumped, "Whether q is far from q0 although the tip began near the target.")
         .def_ro("next_start", &IkAnswer::next_start, "The start after the last one used.")
         .def_ro("steps", &IkAnswer::steps, "Steps over all starts.")
-        .def_prop_ro(
-            "position_error", [](const IkAnswer& self) { return self.error.position; }, "m, measured at q.")
-        .def_prop_ro(
-            "orientation_error", [](const IkAnswer& self) { return self.error.orientation; }, "rad, measured at q.")
+        .def_ro("position_error", &IkAnswer::position_error, "m, measured at q.")
+        .def_ro("orientation_error", &IkAnswer::orientation_error, "rad, measured at q.")
         .def_ro("branch", &IkAnswer::branch, "The number of the branch of q.");
     nb::class_<Solutions>(module, "Solutions", "How many seeds became solutions, and the effort.")
         .def_ro("count", &Solutions::count)

@@ -1,8 +1,8 @@
 """From a path of the tip to a path of the joints: dense inverse kinematics on one branch, computed before the arm moves.
 
 The joints follow the path's twist through the Jacobian's weighted pseudo-inverse (Chan and Dubey, "A weighted least-norm
-solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by Runge and Kutta's
-fourth-order rule, and Newton's method brings the tip back onto the path at each step. A spline of degree five joins the steps.
+solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by the midpoint
+rule, and Newton's method brings the tip back onto the path at each step. A spline of degree five joins the steps.
 
 Where a joint would leave its limits although the arm has more joints than the path needs, the walk is repeated with a
 self-motion towards the middle of the joint ranges (A. Liégeois, "Automatic supervisory control of the configuration and
@@ -18,6 +18,7 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.errors import PlanError
+from armctl.core.pose import rotation_angle
 from armctl.core.validation import Array
 from armctl.ik.solve import solve_ik
 from armctl.motion.path.geometry import Shape
@@ -132,11 +133,11 @@ class _Tracker:
 
     def distances(self, q: Array, s: Array) -> Array:
         """How far the tip is from the path, (T,) m and rad, at positions (T, n) and lengths (T,)."""
-        found = np.empty(len(s))
-        for k, length in enumerate(s):
+        found = np.empty((len(s), 2))
+        for k, (length, position, rotation) in enumerate(zip(s, *self.arm.fk_many(q), strict=True)):
             place = self.path.at(length)
-            found[k] = self._follower.distance(q[k], place.position, np.ascontiguousarray(place.rotation))
-        return found
+            found[k] = np.linalg.norm(place.position - position), rotation_angle(rotation.T @ place.rotation)
+        return np.linalg.norm(found[:, : self.rows // 3], axis=1)
 
     def _step(self, q: Array, s: float, h: float, slope: Array) -> Array | None:
         """The joints a step further, or None where Newton's method does not get there."""
@@ -147,7 +148,6 @@ class _Tracker:
             slope,
             length=h,
             halfway=self.path.at(s + h / 2).twist[: self.rows],
-            end=end.twist[: self.rows],
             position=end.position,
             rotation=np.ascontiguousarray(end.rotation),
             moved=moved,
