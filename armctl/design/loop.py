@@ -260,6 +260,11 @@ class Loop:
         """The margins of single eigenvalues and joints, accurate to 1 % in a fraction of the time."""
         return coarse_margins_with(coarse_plant(self), self)
 
+    @property
+    def has_static_law(self) -> bool:
+        """Whether the controller has no memory."""
+        return not len(self._law.A)
+
     def with_law(self, law: StateSpace) -> Loop:
         """The same arm with another linear controller.
 

@@ -23,7 +23,7 @@ from armctl.sim.plant import NOMINAL, Plant, read_plant
 
 _MAX_POSES = 10_000
 _SEED = 20_000  # of the random configurations: the same for every controller, and not those that gains are designed for
-_STARTS = 60
+_STARTS = 60  # further configurations at which a search for the worst one may begin
 SEARCH_STEPS = 30  # of each search
 _SEARCHES = 2  # for each margin, from the worst configurations so far
 
@@ -129,25 +129,30 @@ def margins(arm: Arm, controller: Controller | str, poses: int | ArrayLike = 20,
 def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int | ArrayLike) -> list[Loop]:
     """The loops of a controller at `configurations`, and the worst ones that searches find if those are not given.
 
-    For each margin, searches begin at the worst ones of these configurations and `search_starts`.
+    For each margin, searches begin at the worst ones of these configurations and those of `search_starts`.
     """
     cases = [(linearizer, q) for linearizer in linearizers for q in configurations(linearizer.arm, poses)]
     loops = [linearizer.loop_at(law, q) for linearizer, q in cases]
     if _dimensions(poses):
         return loops
-    cases += [(linearizer, q) for linearizer in linearizers for q in search_starts(linearizer.arm)]
     found = [loop.coarse_margins() for loop in loops]
-    found += [linearizer.loop_at(law, q).coarse_margins() for linearizer, q in cases[len(loops) :]]
+    further = [(linearizer, q) for linearizer in linearizers for q in search_starts(linearizer.arm, loops[0])]
+    cases += further
+    found += [linearizer.loop_at(law, q).coarse_margins() for linearizer, q in further]
     for score in (lambda margins: float(margins.delay.min()), lambda margins: -float(margins.peak_sensitivity.max())):
-        for i in np.argsort([score(each) for each in found])[:_SEARCHES]:
+        for i in np.argsort([score(each) for each in found])[: _SEARCHES if further else 1]:
             linearizer, q = cases[i]
             loops.append(_worst_loop(linearizer, law, q, score))
     return loops
 
 
-def search_starts(arm: Arm) -> Array:
-    """(k, n) rad, further configurations at which searches for the worst one may begin."""
-    return arm.limits.random(arm.limits.clamp(arm.home), _STARTS, np.random.default_rng(_SEED + 1))
+def search_starts(arm: Arm, loop: Loop) -> Array:
+    """(k, n) rad, further configurations at which searches for the worst one may begin.
+
+    There are none for a law with memory: it takes long to linearize, and its inverse dynamics make all configurations similar.
+    """
+    count = _STARTS if loop.has_static_law else 0
+    return arm.limits.random(arm.limits.clamp(arm.home), count, np.random.default_rng(_SEED + 1)).reshape(-1, arm.n)
 
 
 def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Callable[[CoarseMargins], float]) -> Loop:

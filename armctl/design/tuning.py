@@ -15,7 +15,7 @@ from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains, sample_configu
 from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.interface import Controller
 from armctl.control.lqr import LQR
-from armctl.control.observer_gains import observer_gains
+from armctl.control.observer_gains import feedback_estimate, observer_gains
 from armctl.control.pd import PD
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.result import Verdict
@@ -38,7 +38,8 @@ _TOLERANCE = 0.001  # of the logarithms of the bounds, to which the design meets
 _ROUNDS = 12  # of design and search for configurations that violate the bounds
 _SCALES = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35, 4.0, 0.25, 8.0, 0.125, 16.0, 0.0625)  # of all gains, where a design may begin
 _BISECTIONS = 6  # to come back within the bounds
-_DAMPING_RATIOS = (0.5, 2.0)  # of laws with a model: their errors shall not oscillate
+_LIMITS = {"damping_ratio": (0.5, 2.0)}  # of laws with a model: their errors must not oscillate
+_GROWTH = {"damping_ratio": 0.0, "integral_time": -1.0}  # with the bandwidth, as exponents; all others grow in proportion
 _RATIOS = (1.0, 0.5, 0.25, 0.1)  # of the stiffness of PD and of the observer's bandwidth, there
 _ADDED = 6  # configurations in a round
 _ITERATIONS = 12
@@ -169,10 +170,10 @@ def tune(
     if len(periods) > 1:
         raise InputError(f"plants: expected one control period, got {sorted(periods)} s; gains are tuned for one")
     design_poses = _DESIGN_POSES if law in _PD_LAWS else _DESIGN_POSES_WITH_MODEL
-    judge = _Judge([Linearizer(arm, plant) for plant in checked], poses, design_poses, bounds)
-    family = _family(arm, law, periods.pop())
     default = controller_by_name(law, arm)
-    before = judge.figures(default, judge.loops(default))
+    judge = _Judge([Linearizer(arm, plant) for plant in checked], poses, design_poses, bounds, default)
+    family = _family(arm, law, periods.pop())
+    before = judge.before
     x = judge.design.start(family)
     loops: list[Loop] = []
     worst: list[_Case] = []
@@ -192,7 +193,7 @@ def tune(
         reason += f" on {arm.name:.80}, among {min(_SCALES):g} to {max(_SCALES):g} times the default ones"
         return Tuning(False, default, (), {}, before, before, reason)
     tuned = family.controller(x)
-    return Tuning(True, tuned, judge.design.active(family, x), family.gains(x), before, judge.figures(tuned, loops), "")
+    return Tuning(True, tuned, judge.design.active(family, x), family.gains(x), before, judge.figures(loops), "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +228,7 @@ class _Family:
     size: int  # of x
     joints: tuple[tuple[int, ...], ...]  # the elements of x that belong to each joint, or to all joints together
     limits: Array  # (size, 2) bounds of x
-    softened: range  # the elements of x that may be smaller in a design's start
+    softened: Sequence[int]  # the elements of x that may be smaller in a design's start
     scaling: Array  # (size,) how all gains grow with the bandwidth: x for a factor f on it is log(f) x scaling
     gains: Callable[[Array], dict[str, float | Array]]  # the arguments of the constructor at x
     make: Callable[..., Controller]
@@ -263,35 +264,30 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
         joints = tuple((i, n + i) for i in range(n))
         free = np.tile([-np.inf, np.inf], (2 * n, 1))
         return _Family(2 * n, joints, free, range(n), np.repeat([2.0, 1.0], n), pd, lambda **gains: make(arm, **gains))
-    if law in _OBSERVER_LAWS:
-        of_margins = observer_gains(arm, dt)
+    defaults = _default_gains(arm, law, dt)
 
-        def observed(x: Array) -> dict[str, float | Array]:
-            return {
-                "bandwidth": of_margins.feedback * float(np.exp(x[0])),
-                "damping_ratio": of_margins.damping_ratio * float(np.exp(x[1])),
-                "observer_bandwidth": of_margins.disturbance * float(np.exp(x[2])),
-            }
+    def scalars(x: Array) -> dict[str, float | Array]:
+        return {name: value * float(np.exp(each)) for (name, value), each in zip(defaults.items(), x, strict=True)}
 
-        limits = np.array([[-np.inf, np.inf], np.log(_DAMPING_RATIOS) - np.log(of_margins.damping_ratio), [-np.inf, np.inf]])
-        return _Family(
-            3, ((0, 1, 2),), limits, range(2, 3), np.array([1.0, 0.0, 1.0]), observed, lambda **gains: make(arm, **gains)
-        )
+    indices = range(len(defaults))
+    limits = np.array([np.log(_LIMITS.get(name, (0.0, np.inf))) - np.log(value) for name, value in defaults.items()])
+    softened = [i for i, name in enumerate(defaults) if law in _OBSERVER_LAWS and name == "observer_bandwidth"]
+    growth = np.array([_GROWTH.get(name, 1.0) for name in defaults])
+    return _Family(len(defaults), (tuple(indices),), limits, softened, growth, scalars, lambda **gains: make(arm, **gains))
+
+
+def _default_gains(arm: Arm, law: str, dt: float) -> dict[str, float]:
+    """The gains of a law without gains for each joint."""
     if law == "lqr":
-        default_lqr = LQR(arm).effective_gains(dt)
-
-        def quadratic(x: Array) -> dict[str, float | Array]:
-            return {name: default_lqr[name] * float(np.exp(each)) for name, each in zip(default_lqr, x, strict=True)}
-
-        free = np.tile([-np.inf, np.inf], (3, 1))
-        return _Family(3, ((0, 1, 2),), free, range(0), np.array([1, 1, -1]), quadratic, lambda **gains: LQR(arm, **gains))
+        return LQR(arm).effective_gains(dt)
+    if law in _OBSERVER_LAWS:
+        found = observer_gains(arm, dt)
+        return {"bandwidth": found.feedback, "damping_ratio": found.damping_ratio, "observer_bandwidth": found.disturbance}
     bandwidth = _BANDWIDTH_LAWS[law]
-
-    def with_bandwidth(x: Array) -> dict[str, float | Array]:
-        return {"bandwidth": bandwidth * float(np.exp(x[0])), "damping_ratio": float(np.exp(x[1]))}
-
-    limits = np.array([[-np.inf, np.inf], np.log(_DAMPING_RATIOS)])
-    return _Family(2, ((0, 1),), limits, range(0), np.array([1.0, 0.0]), with_bandwidth, lambda **gains: make(arm, **gains))
+    gains = {"bandwidth": bandwidth, "damping_ratio": 1.0}
+    if law == "computed-torque":
+        gains["estimate_bandwidth"] = feedback_estimate(arm, dt, bandwidth)
+    return gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -427,7 +423,14 @@ class _Design:
 class _Judge:
     """Examines controllers at configurations that the design does not know, unless they are given."""
 
-    def __init__(self, linearizers: Sequence[Linearizer], poses: int | ArrayLike, design_poses: int, bounds: _Bounds):
+    def __init__(
+        self,
+        linearizers: Sequence[Linearizer],
+        poses: int | ArrayLike,
+        design_poses: int,
+        bounds: _Bounds,
+        default: Controller,
+    ):
         arm = linearizers[0].arm
         self.linearizers = linearizers
         self._poses = poses
@@ -435,7 +438,9 @@ class _Judge:
         given = configurations(arm, poses)
         sampled = np.vstack([arm.limits.clamp(arm.home), sample_configurations(arm)[-design_poses:]])
         self.design = _Design(arm, _cases(linearizers, given if np.ndim(poses) else sampled), bounds)
-        self._pool = [] if np.ndim(poses) else _cases(linearizers, np.vstack([given, search_starts(arm)]))
+        loops = self.loops(default)
+        self.before = self.figures(loops)
+        self._pool = [] if np.ndim(poses) else _cases(linearizers, np.vstack([given, search_starts(arm, loops[0])]))
 
     def loops(self, controller: Controller) -> list[Loop]:
         return judged_loops(self.linearizers, controller, self._poses)
@@ -450,7 +455,7 @@ class _Judge:
         loops = self.loops(controller)
         return [_Case(at[loop.plant], loop, coarse_plant(loop)) for loop in self._bounds.violating(loops)], loops
 
-    def figures(self, controller: Controller, loops: Sequence[Loop]) -> LoopFigures:
+    def figures(self, loops: Sequence[Loop]) -> LoopFigures:
         found = [loop.robustness() for loop in loops]
         vibration = min(loop.least_damped() for loop in loops)
         return LoopFigures(
