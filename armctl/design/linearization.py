@@ -26,6 +26,8 @@ from armctl.sim.plant import Plant, read_plant
 _POSITION_STEP = 1e-6  # rad (m), and rad/s (m/s), of the central differences of the plant
 _TORQUE_STEP = 1e-4  # of the torque limits
 _WHOLE_TICK_TOLERANCE = 1e-6
+_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)  # time, positions, velocities, activations, histories of commands
+_INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 _SENSOR_TICKS = 1000  # after which the ages of measurements repeat, nearly if their interval is no whole number of ticks
 _SWITCHED_OFF = (
     mujoco.mjtDisableBit.mjDSBL_CONTACT,
@@ -139,11 +141,16 @@ class Linearizer:
         self._substeps = round(self.dt / model.opt.timestep)
         self._train = drivetrain_of([arm], plant)
         self.is_elastic = bool(self._train.extra_joints)
-        self._spring_qpos = model.jnt_qposadr[self._train.extra_joints]
         self._spring_dofs = model.jnt_dofadr[self._train.extra_joints]
         motors = motors_of(model, arm.actuation)
         currents = [current_state(model, motor) for motor in motors]
-        self._states = np.array([address for address in currents if address >= 0], dtype=int)
+        states = [address for address in currents if address >= 0]
+        further = [1 + model.jnt_qposadr[self._train.extra_joints], 1 + model.nq + self._spring_dofs]
+        further.append(np.array(states, dtype=int) + 1 + model.nq + model.nv)
+        # In MuJoCo's state, where the time comes first, the elements of ours: joints that follow others are only written.
+        self._read = np.concatenate([1 + arm.qpos_adr, 1 + model.nq + arm.dof_adr, *further])
+        moved = arm.joint_map
+        self._written = np.concatenate([1 + moved.qpos_adr, 1 + model.nq + moved.dof_adr, *further])
         longest = float(model.actuator_delay[motors].max())
         self._past_torques = math.ceil(longest / self.dt - _WHOLE_TICK_TOLERANCE)
 
@@ -151,16 +158,12 @@ class Linearizer:
         n = self.arm.n
         past = self._past_torques
         holding = self._rest_at(q)
-        x = self._state()
-        size = len(x)
-        columns = []
-        for i in range(size + (2 + past) * n):
-            step = _POSITION_STEP if i < size else _TORQUE_STEP * self.arm.limits.tau_max[(i - size) % n]
-            change = np.zeros(size + (2 + past) * n)
-            change[i] = step
-            later = self._after_tick(x + change[:size], holding, change[size:])
-            columns.append((later - self._after_tick(x - change[:size], holding, -change[size:])) / (2 * step))
-        jacobian = np.array(columns).T
+        size = len(self._read)
+        steps = np.tile(_TORQUE_STEP * self.arm.limits.tau_max, 2 + past)
+        steps = np.concatenate([np.full(size, _POSITION_STEP), steps])
+        changes = np.diag(steps)
+        later = self._after_tick(holding, np.vstack([changes, -changes]))
+        jacobian = ((later[: len(steps)] - later[len(steps) :]) / (2 * steps[:, None])).T
         # Columns: the state, torques on the links, the commanded torque, and those of the ticks before.
         A = np.zeros((size + past * n, size + past * n))
         A[:size, :size] = jacobian[:, :size]
@@ -206,43 +209,42 @@ class Linearizer:
 
     def _rest_at(self, q: Array) -> Array:
         """Puts the arm to rest at q, and returns the torque that holds it there, (n,)."""
-        self._place(q)
-        return self._train.settle(self._model, self._data)
-
-    def _after_tick(self, x: Array, holding: Array, torques: Array) -> Array:
-        """The state a tick after x (k,), by torques on the links, and those beyond `holding` at the motors now and before."""
-        arm = self.arm
-        data = self._data
-        n = arm.n
-        k = len(self._spring_dofs)
-        on_links, *added = torques.reshape(-1, n)
-        commands = holding + np.vstack([*added, np.zeros(n)])
-        self._place(x[:n])
-        arm.joint_map.set_speeds(data.qvel, x[n : 2 * n])
-        data.qpos[self._spring_qpos] = x[2 * n : 2 * n + k]
-        data.qvel[self._spring_dofs] = x[2 * n + k : 2 * (n + k)]
-        data.act[self._states] = x[2 * (n + k) :]
-        data.qfrc_applied[arm.dof_adr] = on_links
-        if self._train.springs:
-            data.qfrc_applied[self._spring_dofs] = on_links[self._train.owners]
-        data.ctrl[arm.ctrl_adr] = commands[0] / arm.gear
-        self._train.set_commands(self._model, data, commands[1:], self._substeps)
-        mujoco.mj_step(self._model, data, self._substeps)
-        return self._state()
-
-    def _place(self, q: Array) -> None:
         data = self._data
         mujoco.mj_resetData(self._model, data)
         data.qpos[: len(self.arm.home_qpos)] = self.arm.home_qpos
         self.arm.joint_map.set_positions(data.qpos, q)
         data.ctrl[:] = self.arm.home_ctrl
+        return self._train.settle(self._model, data)
 
-    def _state(self) -> Array:
-        data = self._data
+    def _after_tick(self, holding: Array, changes: Array) -> Array:
+        """(k, size) the states one tick after small changes of the rest at which the arm is, in (k, size + ...) rows.
+
+        Those of torques follow: torques on the links, and those beyond `holding` at the motors, now and in the ticks before.
+        """
+        from mujoco import rollout
+
         arm = self.arm
-        joints = [data.qpos[arm.qpos_adr], data.qvel[arm.dof_adr]]
-        springs = [data.qpos[self._spring_qpos], data.qvel[self._spring_dofs]]
-        return np.concatenate([*joints, *springs, data.act[self._states]])
+        n = arm.n
+        model = self._model
+        data = self._data
+        size = len(self._read)
+        on_links, added, *before = np.hsplit(changes[:, size:], 2 + self._past_torques)
+        initial = np.empty((len(changes), mujoco.mj_stateSize(model, _STATE)))
+        for row, *past in zip(initial, *before, strict=True):
+            if past:
+                self._train.set_commands(model, data, holding + np.array(past), self._substeps)
+            mujoco.mj_getState(model, data, row, _STATE)
+        x = initial[:, self._read] + changes[:, :size]
+        moved = arm.joint_map
+        initial[:, self._written] = np.hstack([moved.positions(x[:, :n]), moved.speeds(x[:, n : 2 * n]), x[:, 2 * n :]])
+        inputs = np.zeros((len(changes), 1, model.nu + model.nv))
+        inputs[:, 0, : model.nu] = arm.home_ctrl
+        inputs[:, 0, arm.ctrl_adr] = (holding + added) / arm.gear
+        inputs[:, 0, model.nu + arm.dof_adr] = on_links
+        if self._train.springs:
+            inputs[:, 0, model.nu + self._spring_dofs] = on_links[:, self._train.owners]
+        later, _ = rollout.rollout(model, data, initial, inputs, control_spec=_INPUTS, nstep=self._substeps)
+        return np.asarray(later)[:, -1, self._read]
 
     def _sides(self, size: int) -> tuple[Array, Array]:
         """(2n, size) each: positions and velocities of the links and of the motors from the state."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,7 @@ from armctl.design.stability import (
     LoopMargins,
     coarse_grid,
     coarse_margins,
-    coarse_margins_of,
+    coarse_margins_near,
     frequency_grid,
     loop_margins,
     robustness,
@@ -259,6 +260,11 @@ class Loop:
         """The margins of single eigenvalues and joints, accurate to 1 % in a fraction of the time."""
         return coarse_margins_with(coarse_plant(self), self)
 
+    @property
+    def has_static_law(self) -> bool:
+        """Whether the controller has no memory."""
+        return not len(self._law.A)
+
     def with_law(self, law: StateSpace) -> Loop:
         """The same arm with another linear controller.
 
@@ -429,14 +435,22 @@ def draw_loop(figure: Figure, loop: Loop) -> None:
     figure.suptitle(f"{loop.robot}, {loop.controller}, {loop.plant}", fontweight="bold", x=0.01, ha="left")
 
 
-def coarse_margins_with(plant: ComplexArray, loop: Loop, decisive: IntArray | None = None) -> CoarseMargins:
-    """`Loop.coarse_margins`, where the `coarse_plant` of its arm is known, and maybe which frequencies of the grid decide."""
-    frequencies = coarse_grid(loop.dt)
-    if decisive is not None:
-        frequencies = frequencies[decisive]
-        plant = plant[decisive]
-    transfer = -loop._law.transfer(np.exp(1j * frequencies * loop.dt)) @ plant
-    return coarse_margins(loop.system, frequencies, transfer) if decisive is None else coarse_margins_of(frequencies, transfer)
+def coarse_margins_with(plant: ComplexArray, loop: Loop) -> CoarseMargins:
+    """`Loop.coarse_margins`, where the `coarse_plant` of its arm is known."""
+    return coarse_margins(loop.system, coarse_grid(loop.dt), _coarse_transfer(plant, loop, slice(None)))
+
+
+def coarse_margins_around(plant: ComplexArray, loop: Loop, others: Sequence[Loop]) -> list[CoarseMargins]:
+    """Those of the same arm with laws that are nearly the same, to first order."""
+    decisive = coarse_margins_with(plant, loop).decisive
+    transfer = _coarse_transfer(plant, loop, decisive)
+    changes = np.array([_coarse_transfer(plant, each, decisive) - transfer for each in others])
+    return coarse_margins_near(coarse_grid(loop.dt)[decisive], transfer, changes)
+
+
+def _coarse_transfer(plant: ComplexArray, loop: Loop, points: IntArray | slice) -> ComplexArray:
+    z = np.exp(1j * coarse_grid(loop.dt)[points] * loop.dt)
+    return np.asarray(-loop._law.transfer(z) @ plant[points], dtype=np.complex128)
 
 
 def coarse_plant(loop: Loop) -> ComplexArray:

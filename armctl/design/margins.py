@@ -23,7 +23,9 @@ from armctl.sim.plant import NOMINAL, Plant, read_plant
 
 _MAX_POSES = 10_000
 _SEED = 20_000  # of the random configurations: the same for every controller, and not those that gains are designed for
-SEARCH_STEPS = 40  # of the search for the worst configuration
+_STARTS = 60  # further configurations at which a search for the worst one may begin
+SEARCH_STEPS = 30  # of each search
+_SEARCHES = 2  # for each margin, from the worst configurations so far
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,15 +127,32 @@ def margins(arm: Arm, controller: Controller | str, poses: int | ArrayLike = 20,
 
 
 def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int | ArrayLike) -> list[Loop]:
-    """The loops of a controller at `configurations`, and the worst ones that searches find if those are not given."""
+    """The loops of a controller at `configurations`, and the worst ones that searches find if those are not given.
+
+    For each margin, searches begin at the worst ones of these configurations and those of `search_starts`.
+    """
     cases = [(linearizer, q) for linearizer in linearizers for q in configurations(linearizer.arm, poses)]
     loops = [linearizer.loop_at(law, q) for linearizer, q in cases]
-    if not _dimensions(poses):
-        found = [loop.coarse_margins() for loop in loops]
-        for score in (lambda margins: float(margins.delay.min()), lambda margins: -float(margins.peak_sensitivity.max())):
-            linearizer, q = cases[int(np.argmin([score(each) for each in found]))]
+    if _dimensions(poses):
+        return loops
+    found = [loop.coarse_margins() for loop in loops]
+    further = [(linearizer, q) for linearizer in linearizers for q in search_starts(linearizer.arm, loops[0])]
+    cases += further
+    found += [linearizer.loop_at(law, q).coarse_margins() for linearizer, q in further]
+    for score in (lambda margins: float(margins.delay.min()), lambda margins: -float(margins.peak_sensitivity.max())):
+        for i in np.argsort([score(each) for each in found])[: _SEARCHES if further else 1]:
+            linearizer, q = cases[i]
             loops.append(_worst_loop(linearizer, law, q, score))
     return loops
+
+
+def search_starts(arm: Arm, loop: Loop) -> Array:
+    """(k, n) rad, further configurations at which searches for the worst one may begin.
+
+    There are none for a law with memory: it takes long to linearize, and its inverse dynamics make all configurations similar.
+    """
+    count = _STARTS if loop.has_static_law else 0
+    return arm.limits.random(arm.limits.clamp(arm.home), count, np.random.default_rng(_SEED + 1)).reshape(-1, arm.n)
 
 
 def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Callable[[CoarseMargins], float]) -> Loop:
@@ -143,8 +162,7 @@ def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Ca
         return score(linearizer.loop_at(law, q).coarse_margins())
 
     rng = np.random.default_rng(_SEED)
-    q = smallest_configuration(linearizer.arm.limits, coarse, [start], SEARCH_STEPS, rng)
-    return linearizer.loop_at(law, q)
+    return linearizer.loop_at(law, smallest_configuration(linearizer.arm.limits, coarse, [start], SEARCH_STEPS, rng))
 
 
 def configurations(arm: Arm, poses: int | ArrayLike) -> Array:

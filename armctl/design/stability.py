@@ -84,7 +84,7 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
         delay_margin=float(delay_margin),
         gain_margin=inf,
         phase_margin=float(phase_margin),
-        peak_sensitivity=float(_sensitivities(transfer).max()),
+        peak_sensitivity=float(np.abs(np.diagonal(_sensitivity(transfer), axis1=1, axis2=2)).max()),
         spectral_radius=radius,
         reason="",
     )
@@ -124,8 +124,23 @@ def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray)
 
 def coarse_margins_of(frequencies: Array, transfer: ComplexArray) -> CoarseMargins:
     """As `coarse_margins` of a stable loop, for which the decisive frequencies are enough."""
-    n = transfer.shape[1]
-    eigenvalues = np.linalg.eigvals(transfer)
+    eigenvalues = np.linalg.eigvals(transfer).astype(np.complex128)
+    return _coarse_margins(frequencies, eigenvalues, np.diagonal(_sensitivity(transfer), axis1=1, axis2=2))
+
+
+def coarse_margins_near(frequencies: Array, transfer: ComplexArray, changes: ComplexArray) -> list[CoarseMargins]:
+    """As `coarse_margins_of` after each of small changes (m, k, n, n) of the transfer function, to first order."""
+    eigenvalues, right = np.linalg.eig(transfer)
+    turned = np.linalg.inv(right) @ changes @ right  # Stewart, Sun, Matrix Perturbation Theory (1990), IV.2.3
+    sensitivity = _sensitivity(transfer)
+    by_change = sensitivity @ changes @ sensitivity
+    later = eigenvalues + np.diagonal(turned, axis1=2, axis2=3)
+    sensitivities = np.diagonal(sensitivity - by_change, axis1=2, axis2=3)
+    return [_coarse_margins(frequencies, *each) for each in zip(later, sensitivities, strict=True)]
+
+
+def _coarse_margins(frequencies: Array, eigenvalues: ComplexArray, sensitivities: ComplexArray) -> CoarseMargins:
+    n = eigenvalues.shape[1]
     eigenvalues = np.take_along_axis(eigenvalues, np.abs(eigenvalues).argsort(axis=1), axis=1)
     size = np.log(np.abs(eigenvalues))
     angle = np.angle(eigenvalues)
@@ -138,15 +153,25 @@ def coarse_margins_of(frequencies: Array, transfer: ComplexArray) -> CoarseMargi
     w = frequencies[intervals] * (frequencies[intervals + 1] / frequencies[intervals]) ** share
     delay = np.full(n, inf)
     np.minimum.at(delay, ranks, (start + share * turn + pi) % (2 * pi) / w)
-    sensitivities = _sensitivities(transfer)
-    decisive = np.unique(np.concatenate([intervals, intervals + 1, sensitivities.argmax(axis=0)]))
-    return CoarseMargins(delay, sensitivities.max(axis=0), decisive)
+    peaks, near = _peaks(np.log(frequencies), np.log(np.abs(sensitivities)))
+    return CoarseMargins(delay, np.exp(peaks), np.unique(np.concatenate([intervals, intervals + 1, near.ravel()])))
 
 
-def _sensitivities(transfer: ComplexArray) -> Array:
-    """(k, n) sensitivity of each joint for a loop transfer function (k, n, n), with the loops of the other joints closed."""
-    sensitivity = np.linalg.inv(np.eye(transfer.shape[1]) + transfer)
-    return np.asarray(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)), dtype=np.float64)
+def _peaks(x: Array, y: Array) -> tuple[Array, IntArray]:
+    """(n,) the maxima of the columns y (k, n) over x (k,), by parabolas through three points, and the (3, n) points."""
+    near = np.clip(y.argmax(axis=0), 1, len(x) - 2) + np.array([[-1], [0], [1]])
+    left, middle, right = np.take_along_axis(y, near, axis=0)
+    before, after = np.diff(x[near], axis=0)
+    slope = (middle - left) / before
+    bend = np.minimum(((right - middle) / after - slope) / (before + after), -np.finfo(float).tiny)
+    slope = slope + bend * before
+    top = np.clip(-slope / (2 * bend), -before, after)
+    return middle + (slope + bend * top) * top, near
+
+
+def _sensitivity(transfer: ComplexArray) -> ComplexArray:
+    """(..., n, n) of a loop transfer function; the diagonal has that of each joint with the loops of the others closed."""
+    return np.asarray(np.linalg.inv(np.eye(transfer.shape[-1]) + transfer), dtype=np.complex128)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

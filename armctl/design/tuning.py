@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -14,14 +15,14 @@ from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains, sample_configu
 from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.interface import Controller
 from armctl.control.lqr import LQR
-from armctl.control.observer_gains import observer_gains
+from armctl.control.observer_gains import feedback_estimate, observer_gains
 from armctl.control.pd import PD
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.result import Verdict
-from armctl.core.validation import Array, IntArray, frozen, number, shown
+from armctl.core.validation import Array, frozen, number, shown
 from armctl.design.linearization import Linearizer
-from armctl.design.loop import MIN_DAMPING_RATIO, Loop, Mode, coarse_margins_with, coarse_plant
-from armctl.design.margins import configurations, judged_loops
+from armctl.design.loop import MIN_DAMPING_RATIO, Loop, Mode, coarse_margins_around, coarse_margins_with, coarse_plant
+from armctl.design.margins import configurations, judged_loops, search_starts
 from armctl.design.stability import CoarseMargins
 from armctl.design.state_space import ComplexArray, linear_controller
 from armctl.robot.arm import Arm, check_arm
@@ -31,23 +32,21 @@ _COMPLIANCE_FREQUENCY = 2 * np.pi  # rad/s
 # Configurations of the design, of those for default gains: the extreme ones, and random ones for laws without inertia matrix.
 _DESIGN_POSES = 10
 _DESIGN_POSES_WITH_MODEL = 2
-# Of the bounds, in the design, whose margins are accurate to the first of them. The others follow where configurations that the
-# design did not know violated a bound.
-_RESERVES = (1.003, 1.015, 1.04, 1.08, 1.15)
+# Of the bounds, in the design, whose margins are accurate to it.
+_RESERVE = 1.003
+_TOLERANCE = 0.001  # of the logarithms of the bounds, to which the design meets them
+_ROUNDS = 12  # of design and search for configurations that violate the bounds
 _SCALES = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35, 4.0, 0.25, 8.0, 0.125, 16.0, 0.0625)  # of all gains, where a design may begin
 _BISECTIONS = 6  # to come back within the bounds
-_DAMPING_RATIOS = (0.5, 2.0)  # of laws with a model: their errors shall not oscillate
+_LIMITS = {"damping_ratio": (0.5, 2.0)}  # of laws with a model: their errors must not oscillate
+_GROWTH = {"damping_ratio": 0.0, "integral_time": -1.0}  # with the bandwidth, as exponents; all others grow in proportion
 _RATIOS = (1.0, 0.5, 0.25, 0.1)  # of the stiffness of PD and of the observer's bandwidth, there
-# Sequential linear programming. Steps are those of the logarithms of the gains.
-_ITERATIONS = 6
-_FURTHER_ITERATIONS = 3  # of a design that is repeated
-_FIRST_STEP = 0.3
-_MAX_STEP = 1.0
-_MIN_STEP = 0.01
-_MIN_GAIN = 0.005  # of the logarithm of the displacement; a step that gains less is the last one
-_DIFFERENCE = 1e-3
-_TRIES = 3
-_ACTIVE = 0.25  # constraints with less than this left are linearized
+_ADDED = 6  # configurations in a round
+_ITERATIONS = 12
+_ACCURACY = 1e-3  # of the logarithm of the displacement
+_DIFFERENCE = 1e-3  # of the logarithms of the gains
+_ACTIVE = 0.5  # constraints with more than this left have no slope
+_UNSTABLE = -1.0  # what is left at most of the bounds of a loop that is unstable
 _COST_CASES = 6  # configurations of the first plant at which the displacement is computed
 _RAISE = 1.05  # of the gains of a joint, for the bound that limits it
 
@@ -171,24 +170,21 @@ def tune(
     if len(periods) > 1:
         raise InputError(f"plants: expected one control period, got {sorted(periods)} s; gains are tuned for one")
     design_poses = _DESIGN_POSES if law in _PD_LAWS else _DESIGN_POSES_WITH_MODEL
-    judge = _Judge([Linearizer(arm, plant) for plant in checked], poses, design_poses, bounds)
-    family = _family(arm, law, periods.pop())
     default = controller_by_name(law, arm)
-    before = judge.figures(default, judge.loops(default))
-    x = None
+    judge = _Judge([Linearizer(arm, plant) for plant in checked], poses, design_poses, bounds, default)
+    family = _family(arm, law, periods.pop())
+    before = judge.before
+    x = judge.design.start(family)
     loops: list[Loop] = []
-    worst: list[Loop] = []
-    for reserve in _RESERVES:
-        judge.design.reserve = reserve
-        x = judge.design.start(family) if x is None else judge.design.restored(family, x)
+    worst: list[_Case] = []
+    for _ in range(_ROUNDS):
+        x = None if x is None else judge.design.improved(family, x)
         if x is None:
             break
-        x = judge.design.improved(family, x, _FURTHER_ITERATIONS if worst else _ITERATIONS)
-        loops = judge.loops(family.controller(x))
-        worst = judge.violating(loops)
+        worst, loops = judge.violating(family.controller(x))
         if not worst:
             break
-        judge.design.add(worst)
+        judge.design.cases += worst
     if x is None or worst:
         reason = f"no gains of {law} satisfy delay margin {1e3 * bounds.delay_margin:g} ms and Ms {bounds.peak_sensitivity:g}"
         reason += "" if chatter is None else f" and torque noise {chatter:g} N m"
@@ -197,7 +193,7 @@ def tune(
         reason += f" on {arm.name:.80}, among {min(_SCALES):g} to {max(_SCALES):g} times the default ones"
         return Tuning(False, default, (), {}, before, before, reason)
     tuned = family.controller(x)
-    return Tuning(True, tuned, judge.design.active(family, x), family.gains(x), before, judge.figures(tuned, loops), "")
+    return Tuning(True, tuned, judge.design.active(family, x), family.gains(x), before, judge.figures(loops), "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,12 +202,23 @@ class _Bounds:
     peak_sensitivity: float
     chatter: float
 
-    def left(self, found: CoarseMargins, reserve: float) -> Array:
-        """(2, n) what is left of the bounds on delay margin and Ms; -inf where the loop is unstable."""
+    def left(self, found: CoarseMargins) -> Array:
+        """(2, n) what is left of the bounds on delay margin and Ms, as logarithms."""
         with np.errstate(divide="ignore"):
-            delay = np.log(found.delay / (reserve * self.delay_margin))
-            sensitivity = np.log(self.peak_sensitivity / (reserve * found.peak_sensitivity))
-        return np.array([np.minimum(delay, 1.0), sensitivity])
+            delay = np.log(found.delay / (_RESERVE * self.delay_margin))
+            sensitivity = np.log(self.peak_sensitivity / (_RESERVE * found.peak_sensitivity))
+        return np.clip([delay, sensitivity], _UNSTABLE, 1.0)
+
+    def violating(self, loops: Sequence[Loop]) -> list[Loop]:
+        """Those that violate a bound by their coarse margins; if none does so, by their margins."""
+        coarse = [loop.coarse_margins() for loop in loops]
+        kept = [
+            each.delay.min() >= self.delay_margin and each.peak_sensitivity.max() <= self.peak_sensitivity for each in coarse
+        ]
+        if all(kept):
+            exact = [loop.robustness() for loop in loops]
+            kept = [each.delay_margin >= self.delay_margin and each.peak_sensitivity <= self.peak_sensitivity for each in exact]
+        return [loop for loop, is_kept in zip(loops, kept, strict=True) if not is_kept]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,7 +228,7 @@ class _Family:
     size: int  # of x
     joints: tuple[tuple[int, ...], ...]  # the elements of x that belong to each joint, or to all joints together
     limits: Array  # (size, 2) bounds of x
-    softened: range  # the elements of x that may be smaller in a design's start
+    softened: Sequence[int]  # the elements of x that may be smaller in a design's start
     scaling: Array  # (size,) how all gains grow with the bandwidth: x for a factor f on it is log(f) x scaling
     gains: Callable[[Array], dict[str, float | Array]]  # the arguments of the constructor at x
     make: Callable[..., Controller]
@@ -257,35 +264,30 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
         joints = tuple((i, n + i) for i in range(n))
         free = np.tile([-np.inf, np.inf], (2 * n, 1))
         return _Family(2 * n, joints, free, range(n), np.repeat([2.0, 1.0], n), pd, lambda **gains: make(arm, **gains))
-    if law in _OBSERVER_LAWS:
-        of_margins = observer_gains(arm, dt)
+    defaults = _default_gains(arm, law, dt)
 
-        def observed(x: Array) -> dict[str, float | Array]:
-            return {
-                "bandwidth": of_margins.feedback * float(np.exp(x[0])),
-                "damping_ratio": of_margins.damping_ratio * float(np.exp(x[1])),
-                "observer_bandwidth": of_margins.disturbance * float(np.exp(x[2])),
-            }
+    def scalars(x: Array) -> dict[str, float | Array]:
+        return {name: value * float(np.exp(each)) for (name, value), each in zip(defaults.items(), x, strict=True)}
 
-        limits = np.array([[-np.inf, np.inf], np.log(_DAMPING_RATIOS) - np.log(of_margins.damping_ratio), [-np.inf, np.inf]])
-        return _Family(
-            3, ((0, 1, 2),), limits, range(2, 3), np.array([1.0, 0.0, 1.0]), observed, lambda **gains: make(arm, **gains)
-        )
+    indices = range(len(defaults))
+    limits = np.array([np.log(_LIMITS.get(name, (0.0, np.inf))) - np.log(value) for name, value in defaults.items()])
+    softened = [i for i, name in enumerate(defaults) if law in _OBSERVER_LAWS and name == "observer_bandwidth"]
+    growth = np.array([_GROWTH.get(name, 1.0) for name in defaults])
+    return _Family(len(defaults), (tuple(indices),), limits, softened, growth, scalars, lambda **gains: make(arm, **gains))
+
+
+def _default_gains(arm: Arm, law: str, dt: float) -> dict[str, float]:
+    """The gains of a law without gains for each joint."""
     if law == "lqr":
-        default_lqr = LQR(arm).effective_gains(dt)
-
-        def quadratic(x: Array) -> dict[str, float | Array]:
-            return {name: default_lqr[name] * float(np.exp(each)) for name, each in zip(default_lqr, x, strict=True)}
-
-        free = np.tile([-np.inf, np.inf], (3, 1))
-        return _Family(3, ((0, 1, 2),), free, range(0), np.array([1, 1, -1]), quadratic, lambda **gains: LQR(arm, **gains))
+        return LQR(arm).effective_gains(dt)
+    if law in _OBSERVER_LAWS:
+        found = observer_gains(arm, dt)
+        return {"bandwidth": found.feedback, "damping_ratio": found.damping_ratio, "observer_bandwidth": found.disturbance}
     bandwidth = _BANDWIDTH_LAWS[law]
-
-    def with_bandwidth(x: Array) -> dict[str, float | Array]:
-        return {"bandwidth": bandwidth * float(np.exp(x[0])), "damping_ratio": float(np.exp(x[1]))}
-
-    limits = np.array([[-np.inf, np.inf], np.log(_DAMPING_RATIOS)])
-    return _Family(2, ((0, 1),), limits, range(0), np.array([1.0, 0.0]), with_bandwidth, lambda **gains: make(arm, **gains))
+    gains = {"bandwidth": bandwidth, "damping_ratio": 1.0}
+    if law == "computed-torque":
+        gains["estimate_bandwidth"] = feedback_estimate(arm, dt, bandwidth)
+    return gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -299,23 +301,23 @@ class _Case:
         law = linear_controller(linearizer.arm, controller, self.loop.q, self.loop.dt, linearizer.plant.continuous)
         return self.loop.with_law(law)
 
-    def margins(self, controller: Controller, decisive: IntArray | None = None) -> CoarseMargins:
-        return coarse_margins_with(self.transfer, self.with_controller(controller), decisive)
+    def margins(self, controller: Controller) -> CoarseMargins:
+        return coarse_margins_with(self.transfer, self.with_controller(controller))
+
+
+def _cases(linearizers: Sequence[Linearizer], configurations: Array) -> list[_Case]:
+    arm = linearizers[0].arm
+    static = PD(arm, stiffness=0.0, damping=0.0)
+    loops = [(linearizer, linearizer.loop_at(static, q)) for linearizer in linearizers for q in configurations]
+    return [_Case(linearizer, loop, coarse_plant(loop)) for linearizer, loop in loops]
 
 
 class _Design:
-    def __init__(self, linearizers: Sequence[Linearizer], configurations: Array, bounds: _Bounds):
-        self._arm = linearizers[0].arm
-        self._linearizers = {str(linearizer.plant): linearizer for linearizer in linearizers}
+    def __init__(self, arm: Arm, cases: list[_Case], bounds: _Bounds):
+        self._arm = arm
+        self.cases = cases
         self._bounds = bounds
-        self._bounds_per_case = 2 * self._arm.n
-        self.reserve = _RESERVES[0]
-        static = PD(self._arm, stiffness=0.0, damping=0.0)
-        self._cases: list[_Case] = []
-        self.add([linearizer.loop_at(static, q) for linearizer in linearizers for q in configurations])
-
-    def add(self, loops: Sequence[Loop]) -> None:
-        self._cases += [_Case(self._linearizers[loop.plant], loop, coarse_plant(loop)) for loop in loops]
+        self._bounds_per_case = 2 * arm.n
 
     def start(self, family: _Family) -> Array | None:
         """Gains within the bounds, near the default ones; None if there are none among multiples of those."""
@@ -326,7 +328,28 @@ class _Design:
                 return x
         return None
 
-    def restored(self, family: _Family, x: Array) -> Array | None:
+    def improved(self, family: _Family, x: Array) -> Array | None:
+        """Least displacement within the bounds, from gains near them; None if no gains within them are found.
+
+        By sequential quadratic programming (Kraft, A software package for sequential quadratic programming, 1988).
+        """
+        from scipy.optimize import minimize
+
+        evaluated = lru_cache(1)(lambda key: self._evaluated(family.controller(np.frombuffer(key))))
+        slopes = lru_cache(1)(lambda key: self._slopes(family, np.frombuffer(key), *evaluated(key)))
+        within = {"type": "ineq", "fun": lambda x: evaluated(x.tobytes())[0], "jac": lambda x: slopes(x.tobytes())[0]}
+        found = minimize(
+            lambda x: evaluated(x.tobytes())[1],
+            x,
+            jac=lambda x: slopes(x.tobytes())[1],
+            bounds=family.limits,
+            constraints=within,
+            method="SLSQP",
+            options={"maxiter": _ITERATIONS, "ftol": _ACCURACY},
+        )
+        return self._restored(family, found.x)
+
+    def _restored(self, family: _Family, x: Array) -> Array | None:
         """The gains, or the nearest ones within the bounds on the way to where a design begins; None if there are none."""
         if self._is_feasible(family.controller(x)):
             return x
@@ -341,78 +364,46 @@ class _Design:
                 x = middle
         return within
 
-    def improved(self, family: _Family, x: Array, iterations: int) -> Array:
-        """Least displacement by sequential linear programming: Nocedal and Wright, Numerical Optimization, 2006, 18.5, 17.2."""
-        from scipy.optimize import linprog
-
-        size = _FIRST_STEP
-        left, cost = self._evaluated(family.controller(x))
-        for _ in range(iterations):
-            active = np.flatnonzero(left < _ACTIVE + size)
-            cases = sorted({int(k) // self._bounds_per_case for k in active if k < len(left) - 1})
-            steps = _DIFFERENCE * np.eye(family.size)
-            controller = family.controller(x)
-            decisive = {k: self._cases[k].margins(controller).decisive for k in cases}
-            changes = [self._evaluated(family.controller(x + step), decisive) for step in steps]
-            slope = np.array([(each[1] - cost) / _DIFFERENCE for each in changes])
-            slopes = np.array([(each[0] - left)[active] / _DIFFERENCE for each in changes]).T
-            is_usable = np.isfinite(slopes).all(axis=1)
-            rows = -slopes[is_usable]
-            while size >= _MIN_STEP:
-                box = np.clip(family.limits - x[:, None], -size, size)
-                box[:, 0] = np.minimum(box[:, 0], 0.0)  # default gains may be outside the limits
-                box[:, 1] = np.maximum(box[:, 1], 0.0)
-                ends = left[active][is_usable]
-                step = np.zeros(family.size)
-                new_left = left
-                new_cost = cost
-                # The bounds are curved: further tries keep away from those that the first one violated.
-                for _ in range(_TRIES):
-                    found = linprog(slope, A_ub=rows, b_ub=ends, bounds=box)
-                    if found.x is None:
-                        break
-                    step = found.x
-                    new_left, new_cost = self._evaluated(family.controller(x + step))
-                    if new_left.min() >= 0.0 or np.isneginf(new_left.min()):
-                        break
-                    ends = new_left[active][is_usable] + rows @ step - 1e-3
-                if new_left.min() >= 0.0 and new_cost < cost - 1e-4:
-                    break
-                size *= 0.4
-            else:
-                return x
-            x = x + step
-            is_last = new_cost > cost - _MIN_GAIN
-            left = new_left
-            cost = new_cost
-            size = min(2.0 * size, _MAX_STEP)
-            if is_last:
-                break
-        return x
-
-    def _evaluated(self, controller: Controller, decisive: Mapping[int, IntArray] | None = None) -> tuple[Array, float]:
-        """What is left of the bounds, 2n of each case (NaN if not `decisive`) and one of noise; the log of displacement."""
-        size = self._bounds_per_case
-        left = np.full(size * len(self._cases) + 1, np.inf if decisive is None else np.nan)
-        cost = []
+    def _evaluated(self, controller: Controller) -> tuple[Array, float]:
+        """What is left of the bounds, 2n of each case and one of noise; the logarithm of the displacement."""
         try:
-            for k in range(len(self._cases)) if decisive is None else decisive:
-                found = self._cases[k].margins(controller, None if decisive is None else decisive[k])
-                left[size * k : size * (k + 1)] = self._bounds.left(found, self.reserve).ravel()
-            for case in self._cases[:_COST_CASES]:
-                compliance = case.with_controller(controller).joint_compliance([_COMPLIANCE_FREQUENCY])[0]
-                cost.append(np.abs(compliance * self._arm.limits.tau_max) ** 2)
-            if np.isfinite(self._bounds.chatter):
-                noise = torque_noise(self._cases[0].with_controller(controller))
-                left[-1] = np.log(self._bounds.chatter / (self.reserve * noise))
+            left = [self._bounds.left(case.margins(controller)).ravel() for case in self.cases]
+            loops = [case.with_controller(controller) for case in self.cases[:_COST_CASES]]
+            return np.append(np.concatenate(left), self._left_of_noise(loops[0])), self._cost(loops)
         except ModelError:  # gains so high that the torque of the impulses has no meaning
-            return np.full_like(left, -np.inf), np.inf
-        return left, 0.5 * float(np.log(np.mean(cost)))
+            return np.full(self._bounds_per_case * len(self.cases) + 1, _UNSTABLE), 0.0
+
+    def _slopes(self, family: _Family, x: Array, left: Array, cost: float) -> tuple[Array, Array]:
+        """How `left` (k, size) and the cost (size,) change with the gains; zero of bounds that are far."""
+        controllers = [family.controller(x + step) for step in _DIFFERENCE * np.eye(family.size)]
+        slopes = np.zeros((len(left), family.size))
+        cost_loops = []
+        for k, case in enumerate(self.cases):
+            rows = slice(k * self._bounds_per_case, (k + 1) * self._bounds_per_case)
+            if k >= _COST_CASES and left[rows].min() > _ACTIVE:
+                continue
+            loops = [case.with_controller(each) for each in controllers]
+            near = coarse_margins_around(case.transfer, case.with_controller(family.controller(x)), loops)
+            slopes[rows] = np.array([self._bounds.left(each).ravel() - left[rows] for each in near]).T
+            cost_loops += [loops] if k < _COST_CASES else []
+        slopes[-1] = [self._left_of_noise(loop) - left[-1] for loop in cost_loops[0]]
+        changes = np.array([self._cost(loops) - cost for loops in zip(*cost_loops, strict=True)])
+        return slopes / _DIFFERENCE, changes / _DIFFERENCE
+
+    def _left_of_noise(self, loop: Loop) -> float:
+        if not np.isfinite(self._bounds.chatter):
+            return 1.0
+        return float(np.clip(np.log(self._bounds.chatter / (_RESERVE * torque_noise(loop))), _UNSTABLE, 1.0))
+
+    def _cost(self, loops: Sequence[Loop]) -> float:
+        """The logarithm of the displacement of the joints by torques in proportion to the limits."""
+        shares = [loop.joint_compliance([_COMPLIANCE_FREQUENCY])[0] * self._arm.limits.tau_max for loop in loops]
+        return 0.5 * float(np.log(np.mean(np.abs(shares) ** 2)))
 
     def violated(self, controller: Controller) -> str:
         """The bound that a controller violates most, or nothing."""
         left, _ = self._evaluated(controller)
-        if left.min() >= 0.0:
+        if left.min() >= -_TOLERANCE:
             return ""
         k = int(left.argmin())
         return "chatter" if k == len(left) - 1 else ("delay margin", "peak sensitivity")[k // self._arm.n % 2]
@@ -426,31 +417,45 @@ class _Design:
         return tuple(found)
 
     def _is_feasible(self, controller: Controller) -> bool:
-        return bool(self._evaluated(controller)[0].min() >= 0.0)
+        return bool(self._evaluated(controller)[0].min() >= -_TOLERANCE)
 
 
 class _Judge:
     """Examines controllers at configurations that the design does not know, unless they are given."""
 
-    def __init__(self, linearizers: Sequence[Linearizer], poses: int | ArrayLike, design_poses: int, bounds: _Bounds):
+    def __init__(
+        self,
+        linearizers: Sequence[Linearizer],
+        poses: int | ArrayLike,
+        design_poses: int,
+        bounds: _Bounds,
+        default: Controller,
+    ):
         arm = linearizers[0].arm
         self.linearizers = linearizers
         self._poses = poses
         self._bounds = bounds
         given = configurations(arm, poses)
         sampled = np.vstack([arm.limits.clamp(arm.home), sample_configurations(arm)[-design_poses:]])
-        self.design = _Design(linearizers, given if np.ndim(poses) else sampled, bounds)
+        self.design = _Design(arm, _cases(linearizers, given if np.ndim(poses) else sampled), bounds)
+        loops = self.loops(default)
+        self.before = self.figures(loops)
+        self._pool = [] if np.ndim(poses) else _cases(linearizers, np.vstack([given, search_starts(arm, loops[0])]))
 
     def loops(self, controller: Controller) -> list[Loop]:
         return judged_loops(self.linearizers, controller, self._poses)
 
-    def violating(self, loops: Sequence[Loop]) -> list[Loop]:
-        delay = self._bounds.delay_margin
-        peak = self._bounds.peak_sensitivity
-        found = [(loop, loop.robustness()) for loop in loops]
-        return [loop for loop, each in found if not (each.delay_margin >= delay and each.peak_sensitivity <= peak)]
+    def violating(self, controller: Controller) -> tuple[list[_Case], list[Loop]]:
+        """The worst cases that violate a bound, and all loops that were judged. They are searched for if no known one does."""
+        left = [float(self._bounds.left(case.margins(controller)).min()) for case in self._pool]
+        worst = [self._pool[i] for i in np.argsort(left)[:_ADDED] if left[i] < -_TOLERANCE]
+        if worst:
+            return worst, []
+        at = {str(linearizer.plant): linearizer for linearizer in self.linearizers}
+        loops = self.loops(controller)
+        return [_Case(at[loop.plant], loop, coarse_plant(loop)) for loop in self._bounds.violating(loops)], loops
 
-    def figures(self, controller: Controller, loops: Sequence[Loop]) -> LoopFigures:
+    def figures(self, loops: Sequence[Loop]) -> LoopFigures:
         found = [loop.robustness() for loop in loops]
         vibration = min(loop.least_damped() for loop in loops)
         return LoopFigures(

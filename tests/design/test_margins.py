@@ -288,7 +288,7 @@ def test_the_worst_margins_name_their_configuration_and_plant(arm):
     plants = [PLANT, armctl.Plant(timestep=0.004, payload=1.0)]
     worst = armctl.margins(arm, "pd-gravity", 4, plants)
     assert worst.ok
-    assert worst.loops == 8 + 2  # and the worst ones of two searches
+    assert worst.loops == 8 + 4  # and the worst ones of two searches for each of two margins
     assert len(str(worst)) > 20
     for each, of in (
         (worst.delay, lambda m: m.delay_margin),
