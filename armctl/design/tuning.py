@@ -38,7 +38,7 @@ _TOLERANCE = 0.001  # of the logarithms of the bounds, to which the design meets
 _ROUNDS = 12  # of design and search for configurations that violate the bounds
 _SCALES = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35, 4.0, 0.25, 8.0, 0.125, 16.0, 0.0625)  # of all gains, where a design may begin
 _BISECTIONS = 6  # to come back within the bounds
-_LIMITS = {"damping_ratio": (0.5, 2.0)}  # of laws with a model: their errors must not oscillate
+_LIMITS = {"damping_ratio": np.log((0.5, 2.0))}  # logarithms, of laws with a model: their errors must not oscillate
 _GROWTH = {"damping_ratio": 0.0, "integral_time": -1.0}  # with the bandwidth, as exponents; all others grow in proportion
 _RATIOS = (1.0, 0.5, 0.25, 0.1)  # of the stiffness of PD and of the observer's bandwidth, there
 _ADDED = 6  # configurations in a round
@@ -270,7 +270,7 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
         return {name: value * float(np.exp(each)) for (name, value), each in zip(defaults.items(), x, strict=True)}
 
     indices = range(len(defaults))
-    limits = np.array([np.log(_LIMITS.get(name, (0.0, np.inf))) - np.log(value) for name, value in defaults.items()])
+    limits = np.array([_LIMITS.get(name, (-np.inf, np.inf)) - np.log(value) for name, value in defaults.items()])
     softened = [i for i, name in enumerate(defaults) if law in _OBSERVER_LAWS and name == "observer_bandwidth"]
     growth = np.array([_GROWTH.get(name, 1.0) for name in defaults])
     return _Family(len(defaults), (tuple(indices),), limits, softened, growth, scalars, lambda **gains: make(arm, **gains))
