@@ -132,10 +132,10 @@ def tune(
     """Finds the gains of a control law that yield least to disturbances while the loop satisfies bounds everywhere.
 
     What is minimal is the root mean square of the displacements of the joints at 1 Hz, by disturbance torques in proportion to
-    the torque limits. All gains of the law are free: stiffness and damping of each joint of PD; bandwidth, damping
-    ratio and the observer's bandwidth of laws with a model; bandwidths and integral time of LQR. Sequential linear programming
-    finds them for configurations of the design. They are then judged like in `margins`, with its search for the worst
-    configuration. Each configuration that violates a bound becomes one of the design, which is repeated.
+    the torque limits. All gains of the law are free: stiffness and damping of each joint of PD; bandwidths and damping ratio of
+    laws with a model; bandwidths and integral time of LQR. Sequential quadratic programming finds them for configurations of
+    the design. They are then judged like in `margins`, with its search for the worst configuration. Each configuration that
+    violates a bound becomes one of the design, which is repeated.
 
     Args:
         law: The name of a controller whose gains can be tuned: all but "computed-torque-textbook".
