@@ -23,7 +23,7 @@ from armctl.sim.plant import NOMINAL, Plant, read_plant
 
 _MAX_POSES = 10_000
 _SEED = 20_000  # of the random configurations: the same for every controller, and not those that gains are designed for
-_STARTS = 60  # further configurations at which a search for the worst one may begin
+_STARTS = 120  # further configurations at which a search for the worst one may begin
 SEARCH_STEPS = 30  # of each search
 _SEARCHES = 2  # for each margin, from the worst configurations so far
 
