@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.core.errors import InputError
 from armctl.core.pose import Pose, rotation_angle
 from armctl.core.validation import Array, frozen, instance, number, vector
 
@@ -46,7 +47,10 @@ class Target:
         if isinstance(target, Pose):
             target = cls(target.position, target)
         elif not isinstance(target, Target):
-            target = cls(vector("target", target, 3), None)
+            point = vector("target", target)
+            if len(point) != 3:
+                raise InputError(f"target: expected 3 numbers, got {len(point)}; Pose(point, rpy=angles) adds angles")
+            target = cls(point, None)
         given = {"tolerance": tolerance, "angle_tolerance": angle_tolerance}
         checked = {name: number(name, value, 0.0) for name, value in given.items() if value is not None}
         return replace(target, **checked) if checked else target
