@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MAX_PAYLOAD_KG = 5.0
 _HINT = "*Drag an arrow, a plane or an arc of the green target; the arm follows.*"
-_ORIENTATION_HINT = "*Turn the target by its arcs, or switch off* orientation counts *under* Target*.*"
+_ORIENTATION_HINT = '*Turn the target by its arcs, or switch off "orientation counts" under "Target".*'
 _HOME = "home"
 _PLAY = "play"
 _PAUSE = "pause"
