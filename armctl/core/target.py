@@ -47,10 +47,9 @@ class Target:
         if isinstance(target, Pose):
             target = cls(target.position, target)
         elif not isinstance(target, Target):
-            point = vector("target", target)
-            if len(point) != 3:
-                raise InputError(f"target: expected 3 numbers, got {len(point)}; Pose(point, rpy=angles) adds angles")
-            target = cls(point, None)
+            target = cls(vector("target", target), None)
+            if len(target.position) != 3:
+                raise InputError(f"target: expected 3 numbers, got {len(target.position)}; Pose(point, rpy=angles) adds angles")
         given = {"tolerance": tolerance, "angle_tolerance": angle_tolerance}
         checked = {name: number(name, value, 0.0) for name, value in given.items() if value is not None}
         return replace(target, **checked) if checked else target
