@@ -32,9 +32,8 @@ def __getattr__(name: str) -> Any:
         near = _OTHER_NAMES.get(name) or ", ".join(
             difflib.get_close_matches(name, __all__, n=2, cutoff=0.5) or [k for k in __all__ if name.lower() in k.lower()]
         )
-        raise AttributeError(
-            f"armctl has no attribute {name!r}" + (f"; similar: {near}" if near and name[0] != "_" else ""), name=name
-        )
+        hint = f"; similar: {near}" if near and name[0] != "_" else ""
+        raise AttributeError(f"armctl has no attribute {name!r}{hint}", name=name)
     with uninterrupted_import():
         return _public(name)
 

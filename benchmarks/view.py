@@ -46,7 +46,8 @@ DRAG_AMPLITUDE_PX = 45
 DRAG_PERIOD_S = 4.0
 MOUSE_INTERVAL_S = 0.02
 ARROW_HEAD_PX = 10
-MISSED_AFTER_MS = 2500.0
+MISSED_AFTER_MS = 4000.0
+MAX_DRAGS = 5
 # viser sends a visitor nothing until it has sent its camera.
 CAMERA = {
     "type": "ViewerCameraMessage",
@@ -148,7 +149,7 @@ def _first_drag(tab: Any) -> np.ndarray:
     """Drags the head of the vertical arrow upwards until the arm is there: (2,) pixels. Tries again if the mouse missed it."""
     from playwright.sync_api import TimeoutError as MissedError
 
-    while True:
+    for _ in range(MAX_DRAGS):
         first = _arrow_head(tab)
         second = _arrow_head(tab)
         # Until somebody touches it, the target moves by itself.
@@ -162,8 +163,10 @@ def _first_drag(tab: Any) -> np.ndarray:
             tab.get_by_text("at the target").first.wait_for(timeout=MISSED_AFTER_MS)
         except MissedError:
             tab.mouse.up()
+            tab.get_by_text("reset", exact=True).click(timeout=60e3)  # several drags would leave the reach of the arm
         else:
             return handle - np.array([0.0, FIRST_DRAG_PX])
+    raise RuntimeError(f"after each of {MAX_DRAGS} drags, the arm was not at its target within {MISSED_AFTER_MS:.0f} ms")
 
 
 def _arrow_head(tab: Any) -> Seen:

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.core.errors import InputError
 from armctl.core.pose import Pose, rotation_angle
 from armctl.core.validation import Array, frozen, instance, number, vector
 
@@ -46,7 +47,9 @@ class Target:
         if isinstance(target, Pose):
             target = cls(target.position, target)
         elif not isinstance(target, Target):
-            target = cls(vector("target", target, 3), None)
+            target = cls(vector("target", target), None)
+            if len(target.position) != 3:
+                raise InputError(f"target: expected 3 numbers, got {len(target.position)}; Pose(point, rpy=angles) adds angles")
         given = {"tolerance": tolerance, "angle_tolerance": angle_tolerance}
         checked = {name: number(name, value, 0.0) for name, value in given.items() if value is not None}
         return replace(target, **checked) if checked else target

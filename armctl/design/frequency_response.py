@@ -280,7 +280,8 @@ def frequency_response(
     share = _AMPLITUDE_WITH_NOISE if plant.encoder_noise or plant.velocity_noise else _AMPLITUDE
     small = share * float(arm.limits.tau_max[index])
     friction = float(plant.model(arm).dof_frictionloss[arm.dof_adr[index]])
-    settling = _settling_periods(loop.margins().spectral_radius, ticks)
+    decay = -np.log(min(loop.margins().spectral_radius, 1 - 1e-9)) * ticks  # in one period
+    settling = int(np.clip(np.ceil(-np.log(_TRANSIENT) / decay), _MIN_SETTLING_PERIODS, _MAX_SETTLING_PERIODS))
     count = (settling + _MEASURED_PERIODS) * ticks
     motion = standstill(arm, q, count * loop.dt)
     runs = []
@@ -369,11 +370,6 @@ def _doubt(frequency: Array, coherence: Array, nonlinear: Array) -> str:
             "dry friction or a large motion, for which no linear loop stands"
         )
     return ""
-
-
-def _settling_periods(spectral_radius: float, ticks: int) -> int:
-    decay = -np.log(min(spectral_radius, 1 - 1e-9)) * ticks  # in one period
-    return int(np.clip(np.ceil(-np.log(_TRANSIENT) / decay), _MIN_SETTLING_PERIODS, _MAX_SETTLING_PERIODS))
 
 
 def _lines(ticks: int) -> IntArray:

@@ -184,9 +184,9 @@ def _unknown(given: str, tool: bool) -> ArmctlError:
 
     path = Path(given)
     if os.path.isfile(path):
-        return ModelError(f"{shown_path(path)}: its name does not end in .xml or .urdf, no model")
+        return ModelError(f"{shown_path(path)}: the name of a model ends in .xml or .urdf")
     if os.path.isdir(path):
-        return ModelError(f"{shown_path(path)}: a folder, no model")
+        return ModelError(f"{shown_path(path)}: a folder, not an .xml or .urdf file")
     if tool:
         return UnknownNameError.of("tool", given, [r.name for r in menagerie.robots("end_effector")])
     return UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()], "`armctl robots`")

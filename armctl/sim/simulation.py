@@ -53,6 +53,7 @@ class Simulation(Commands):
                 "grasp": "sim.gripper.grasp(force)",
                 "fk": "sim.tip, or sim.arm.fk(q)",
                 "move": "sim.move_to(target)",
+                "movel": "sim.move_l(target)",
                 "plan": "armctl.move_free(arm, start, goal), and sim.run",
             }
         )

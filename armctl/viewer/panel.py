@@ -11,7 +11,7 @@ from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
 from armctl.core.validation import Array
 from armctl.sim.realtime.session import RealTimeSession
-from armctl.sim.realtime.status import Status
+from armctl.sim.realtime.status import Activity, Status
 from armctl.viewer.charts import Charts
 from armctl.viewer.drawings import ContactArrows
 from armctl.viewer.long_panels import ComparisonPanel, ReachabilityPanel
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 MAX_PAYLOAD_KG = 5.0
 _HINT = "*Drag an arrow, a plane or an arc of the green target; the arm follows.*"
-_ORIENTATION_HINT = "*Turn the target by its arcs, or switch off* orientation counts *under* Target*.*"
+_ORIENTATION_HINT = '*Turn the target by its arcs, or switch off "orientation counts" under "Target".*'
+_REFUSED_HINT = '*Drag the target to another place, or click "undo" under "Target".*'
 _HOME = "home"
 _PLAY = "play"
 _PAUSE = "pause"
@@ -71,11 +72,11 @@ class Panel:
 
     def update(self, status: Status, notice: str = "") -> None:
         samples = self._session.history.read()
-        factor = status.real_time_factor * status.speed
-        hint = _ORIENTATION_HINT if is_only_orientation_out_of_reach(status) else _HINT
+        refused = status.activity in (Activity.BLOCKED, Activity.OUT_OF_REACH)
+        hint = _ORIENTATION_HINT if is_only_orientation_out_of_reach(status) else _REFUSED_HINT if refused else _HINT
         lines = [notice, f"**{describe(status)}**", describe_contacts(status), hint]
         self._text.content = "\n\n".join(line for line in lines if line)
-        self._readings.content = readings(samples, self._session.arm.joint_names, factor)
+        self._readings.content = readings(samples, self._session.arm.joint_names, status.real_time_factor * status.speed)
         self._contact_arrows.show(status.contacts)
         self.charts.update(samples)
         # On viser's event loop: written by this thread, a value could replace one that a client has just sent, before the
@@ -96,10 +97,9 @@ class Panel:
 
     def _add_plant(self) -> None:
         session = self._session
-        status = session.status
-        controller = self._gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=status.controller)
+        controller = self._gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=session.status.controller)
         payload = self._gui.add_slider(
-            "payload, kg", 0.0, MAX_PAYLOAD_KG, 0.1, status.payload, hint="mass at the tip; the controller does not know it"
+            "payload, kg", 0.0, MAX_PAYLOAD_KG, 0.1, session.status.payload, hint="mass at the tip, unknown to the controller"
         )
 
         on_value(controller, session.set_controller)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from armctl.viewer.page import Page
 
 HERE = Path(__file__).parent
+ARM_SPEED_SLIDER = 1  # of the page's sliders, after that of the payload
 DRAG_PAGE_PX = (940, 470)
 DRAG_WIDTH_PX = 552  # of the page, without its panel
 DRAG_FRAMES_PER_S = 12
@@ -184,12 +185,15 @@ def page() -> None:
             session.aim(armctl.Pose(position, quat=downwards))
             time.sleep(4)
             tab.get_by_text("at the target").first.wait_for(timeout=60e3)
+        # The arm is slow, so that it is still on its way when the browser, which draws in software, has caught up.
+        speed = tab.get_by_role("slider").nth(ARM_SPEED_SLIDER)
+        for key in ("Home", *10 * ("ArrowRight",)):
+            speed.press(key, timeout=60e3)
+        speed.evaluate("slider => slider.blur()")
         session.aim(armctl.Pose([0.5, 0.45, 0.25], quat=downwards))
         while session.status.path is None:
             time.sleep(0.01)
-        time.sleep(0.5)
-        session.set_speed(0.01)  # until the browser, which draws in software, has caught up
-        time.sleep(15)
+        time.sleep(4)
         tab.screenshot(path=HERE / "page.png", timeout=60e3)
 
 

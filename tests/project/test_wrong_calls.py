@@ -83,6 +83,10 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: armctl.Impedance(arm(), error_max=[[1.0], [1.0, 2.0]]),
         "error_max: .* is not an array of numbers",
     ),
+    "angles after a point": (
+        lambda: armctl.Simulation(arm()).move_to([0.3, 0.2, 0.3, 3.14, 0.0, 0.0]),
+        r"target: expected 3 numbers, got 6; Pose\(point, rpy=angles\) adds angles",
+    ),
     "no path": (lambda: move_path(arm(), arm().home, None), "path: expected a list of .* got None"),  # type: ignore
 }
 
@@ -155,8 +159,8 @@ LINES = {
     "simulate robot_arm_3dof --ctrl 0 0 0 --seconds 1e9": "fit into a log",
     "compare robot_arm_3dof --controllers ,": "expected a list of at least one of each",
     "compare robot_arm_3dof --workers 0": "workers: expected a number at least 1, got 0",
-    "info FILE": "FILE: its name does not end in .xml or .urdf, no model",
-    "info FOLDER": "FOLDER: a folder, no model",
+    "info FILE": "FILE: the name of a model ends in .xml or .urdf",
+    "info FOLDER": "FOLDER: a folder, not an .xml or .urdf file",
     "info ./nothing": "known names; `armctl robots` lists them",
     "info robot_arm_3dof --tool nothing": "unknown tool 'nothing'",
 }

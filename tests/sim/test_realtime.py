@@ -9,7 +9,7 @@ import pytest
 from arms import BUNDLED, arm_of
 from synthetic import limb, mjcf, motors
 
-from armctl import InputError, Pose, UnknownNameError, load
+from armctl import InputError, Pose, UnknownNameError, load, solve_ik
 from armctl.sim.realtime.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
 from armctl.sim.realtime.follower_reference import FollowerReference
 from armctl.sim.realtime.history import DURATION_S
@@ -33,6 +33,14 @@ def go(session: RealTimeSession, seconds: float) -> None:
 
 def tip_error(session: RealTimeSession) -> float:
     return float(np.linalg.norm(session.arm.fk(session.status.q).position - session.status.target.position))
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e", "xarm7"])
+def test_the_first_target_can_be_moved_without_turning_the_tool(name: str):
+    session = RealTimeSession(arm_of(name))
+    first = session.status.target
+    for shift in 0.07 * np.vstack([np.eye(3), -np.eye(3)]):
+        assert solve_ik(session.arm, Pose(first.position + shift, quat=first.quat)).ok, shift
 
 
 @pytest.mark.parametrize("name", SOME)

@@ -158,7 +158,9 @@ def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, 
     client.send({"type": "TransformControlsUpdateMessage"} | message)
     until(lambda: page.session.status.activity is Activity.OUT_OF_REACH, "it is not called out of reach")
     assert page.session.status.target.position[0] == MAX_COORDINATE_M
+    until(lambda: 'click "undo" under "Target"' in page.scene.text.content, "no remedy is named")
     follows(page, client)
+    until(lambda: "undo" not in page.scene.text.content, "the remedy stays")
 
 
 def test_an_orientation_out_of_reach_comes_with_a_remedy(page, client):
@@ -166,7 +168,7 @@ def test_an_orientation_out_of_reach_comes_with_a_remedy(page, client):
     client.set(page, "position, m", [0.3, 0.0, 0.4])
     client.set(page, "roll, pitch, yaw, rad", [0.0, 0.0, 1.5])
     until(lambda: "this orientation is out of reach here" in page.scene.text.content, "the orientation is not refused")
-    assert "switch off* orientation counts *under* Target" in page.scene.text.content
+    assert 'switch off "orientation counts" under "Target".*' in page.scene.text.content
     follows(page, client)
     until(lambda: "orientation" not in page.scene.text.content, "the remedy stays")
 

@@ -307,9 +307,10 @@ class RealTimeSession:
             self._rest_at(arm.model.key_qpos[self.keyframes.index(keyframe)])
             return
         stepper.reset(arm.home, np.zeros(arm.n))
-        has_target = find_target(stepper.model) is not None
         tip = stepper.tip_pose(arm)
-        start = target_pose(stepper.model, stepper.data).position if has_target else tip.position
+        start = target_pose(stepper.model, stepper.data).position if find_target(stepper.model) is not None else tip.position
+        if self._follower.oriented:
+            start = (start + tip.position) / 2  # nearer to home there is room to drag it without turning the tool
         goal = solve_ik(arm, Pose(start, quat=tip.quat), arm.home).q  # the tool is held as at home, as nearly as possible
         if collision_checker(arm).at(goal):
             goal = solve_ik(arm, start, arm.home).q
