@@ -136,7 +136,8 @@ def drag(robot: str, seconds: float) -> Drag:
             time.sleep(10.0)  # until the fine meshes are there
             begin = time.perf_counter()
             while (t := time.perf_counter() - begin) < seconds:
-                shift = DRAG_AMPLITUDE_PX * np.sin(2 * np.pi * t / DRAG_PERIOD_S)
+                # At constant speed: at the ends of a sine, the target would stand for 0.3 s within a pixel.
+                shift = DRAG_AMPLITUDE_PX * (1 - 4 * abs((t / DRAG_PERIOD_S + 0.25) % 1 - 0.5))
                 tab.mouse.move(handle[0], handle[1] - shift)
                 time.sleep(MOUSE_INTERVAL_S)
             times = np.array([each for each in visitor.times if each >= begin + 1.0])

@@ -6,9 +6,18 @@ from typing import Any
 
 from armctl import _core
 from armctl.control.computed_torque import ComputedTorque
+from armctl.control.gain_attribute import Gain
 from armctl.control.gains import DEFAULT_BANDWIDTH
 from armctl.control.task_space import arm_length
+from armctl.core.errors import InputError
+from armctl.core.validation import shown
 from armctl.robot.arm import Arm
+
+
+def _no_estimate(name: str, value: Any, _n: int) -> float | None:
+    if value is not None:
+        raise InputError(f"{name}: got {shown(value)}, but this law uses measured positions and velocities; leave it None")
+    return None
 
 
 class ComputedTorqueQP(ComputedTorque):
@@ -31,6 +40,8 @@ class ComputedTorqueQP(ComputedTorque):
     Clipping each torque, in contrast, moves the arm off its path in all directions. The limits hold for an arm like the model;
     add a known payload to it (`Arm.with_payload`).
     """
+
+    estimate_bandwidth: Gain[float | None] = Gain(_no_estimate)
 
     def __init__(self, arm: Arm, *, bandwidth: float = DEFAULT_BANDWIDTH, damping_ratio: float = 1.0):
         """A computed torque controller with limits for an arm.
