@@ -83,6 +83,7 @@ def viewed(robot: str) -> Iterator[str]:
     with tempfile.TemporaryDirectory() as home:
         # What would open the page says which one.
         environment = {**os.environ, "HOME": home, "DISPLAY": "any", "BROWSER": "echo %s"}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # `make demo` leaves compiled modules
         command = [sys.executable, "-m", "armctl", "view", robot, "--port", "0"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as view:
             assert view.stdout is not None

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import viser
 
 _TEXT_INTERVAL_S = 0.15
-_START_DELAY_S = 2.0  # the first page is drawn before the arm moves
+_START_DELAY_S = 2.0  # the first page is drawn before the arm moves, unless a visitor drags the target
 _JOIN_TIMEOUT_S = 0.5
 _PRELOADED_MODULES = ("mjviser", "armctl._core")  # slow to import: loaded while MuJoCo compiles the model
 _MAX_NOTICE_LENGTH = 400
@@ -187,12 +187,14 @@ class Page:
 
     def _start_arm(self) -> None:
         """Lets the arm move; until then its session executes commands, so that the first click is answered at once."""
-        while not self.scene.wait_for_client(DRAW_INTERVAL_S):
-            if self._closing.is_set():
+        self.session.prepare()
+        begins_at = np.inf
+        while not self.is_target_held and time.monotonic() < begins_at:
+            if self._closing.wait(DRAW_INTERVAL_S):
                 return
-        if not self._closing.wait(_START_DELAY_S):
-            self.session.prepare()
-            self.session.stand_by(False)
+            if begins_at == np.inf and self.scene.wait_for_client(0.0):
+                begins_at = time.monotonic() + _START_DELAY_S
+        self.session.stand_by(False)
 
 
 def view(

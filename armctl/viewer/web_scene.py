@@ -24,7 +24,7 @@ from armctl.mjmodel.target_marker import find_target, is_movable
 from armctl.render.camera import axes, fitted_camera
 from armctl.robot.arm import Arm
 from armctl.viewer.access_control import AccessControl, check_token
-from armctl.viewer.mesh_decimation import COARSE_CELL, decimated
+from armctl.viewer.mesh_decimation import COARSE_CELL, FINE_CELL, PLAIN_CELL, decimated
 
 if TYPE_CHECKING:
     import viser
@@ -198,9 +198,10 @@ class WebScene:
                 _log.exception("the page could not draw the scene")
 
     def _refine(self) -> None:
-        """Replaces the coarse meshes of an arm by fine ones, once."""
+        """Replaces the coarse meshes of an arm by finer ones, once."""
         if self._not_refined is not None:
-            self._model = decimated(self._not_refined, hidden_body=self._hidden_body)
+            cell = FINE_CELL if self.devices.draw_fast else PLAIN_CELL
+            self._model = decimated(self._not_refined, cell, self._hidden_body)
             self._not_refined = None
             self._scene.mj_model = self._model
             self._scene.rebuild_visual_handles()
