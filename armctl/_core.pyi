@@ -622,11 +622,6 @@ class ComputedTorqueQP(Law):
     """Computed torque within limits of torque, velocity and position."""
 
     def __init__(self, of: ArmModel, **gains) -> None: ...
-    def last_program(self) -> object:
-        """
-        H and M row by row, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
-        limits; None if the torque was not limited.
-        """
 
 class MPC(ComputedTorqueQP):
     """
