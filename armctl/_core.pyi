@@ -215,11 +215,6 @@ def tip_forces(model: ArmModel, q: numpy.ndarray, wrenches: numpy.ndarray, tau: 
     J(q)^T wrench, (T, n) N m, for wrenches (T, 6) on the tip: force first, world axes.
     """
 
-def payload_regressors(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, Y: numpy.ndarray) -> None:
-    """
-    The torques per inertial parameter of a body at the tip, (T, 10 n), row by row: mass, first moment, second moments.
-    """
-
 def quaternions(rotations: numpy.ndarray, quats: numpy.ndarray) -> None:
     """
     The unit quaternions wxyz (T, 4), w >= 0, of rotation matrices (T, 3, 3).
@@ -622,11 +617,6 @@ class ComputedTorqueQP(Law):
     """Computed torque within limits of torque, velocity and position."""
 
     def __init__(self, of: ArmModel, **gains) -> None: ...
-    def last_program(self) -> object:
-        """
-        H and M row by row, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
-        limits; None if the torque was not limited.
-        """
 
 class MPC(ComputedTorqueQP):
     """

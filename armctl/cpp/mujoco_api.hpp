@@ -1,9 +1,13 @@
 // What the core uses of MuJoCo: functions by their public symbols, the arrays of a simulation, its contacts, and calls that
 // survive MuJoCo's errors.
 #pragma once
+#include <array>
+#include <cstring>
+#include <memory>
 #include <string>
 
 #include "arguments.hpp"
+#include "errors.hpp"
 
 namespace armctl {
 
@@ -24,7 +28,20 @@ struct ContactLayout {
 struct MujocoApi {
     // `empty` is for the batch in which functions are called; they work on other models. The arguments are the addresses of the
     // functions, and the `ContactLayout` as contact_count and so on.
-    MujocoApi(const MujocoModel* empty, const Arguments& given);
+    MujocoApi(const MujocoModel* empty, const Arguments& given)
+        : empty_model(empty), contacts{
+                                  .count = given.count("contact_count"),
+                                  .array = given.count("contact_array"),
+                                  .stride = given.count("contact_stride"),
+                                  .geoms = given.count("contact_geoms"),
+                              } {
+        set(step, given, "step");
+        set(rne_post_constraint, given, "rne_post_constraint");
+        set(make_batch, given, "make_batch");
+        set(delete_batch, given, "delete_batch");
+        set(apply, given, "apply");
+        set(error, given, "error");
+    }
 
     using Step = void (*)(const MujocoModel*, MujocoData*);
     using BatchFunction = void (*)(const MujocoModel*, MujocoData*, int simulation, void* argument);
@@ -43,6 +60,13 @@ struct MujocoApi {
     const char* (*error)(const MujocoBatch*, int simulation) = nullptr;                                           // mjb_error
     const MujocoModel* empty_model;
     ContactLayout contacts;
+
+private:
+    // A function from its address.
+    template <class Function>
+    static void set(Function& function, const Arguments& given, const char* name) {
+        function = reinterpret_cast<Function>(given.integer(name));  // NOLINT(performance-no-int-to-ptr): Python has it as a number
+    }
 };
 
 // A simulation and the arrays of its mjData. The owner of this struct keeps mjModel and mjData alive.
@@ -66,35 +90,68 @@ struct MujocoSimulation {
 // The contacts of a simulation after its last step.
 class Contacts {
 public:
-    Contacts(const ContactLayout& layout, const MujocoData* data);
+    Contacts(const ContactLayout& layout, const MujocoData* data)
+        : layout_(layout), first_(number_at<const std::byte*>(data, layout.array)),
+          count_(static_cast<size_t>(number_at<std::int32_t>(data, layout.count))) {}
 
     size_t count() const { return count_; }
 
     // The geoms of a contact: `mjContact.geom`.
-    std::array<std::int32_t, 2> geoms(size_t contact) const;
+    std::array<std::int32_t, 2> geoms(size_t contact) const {
+        return number_at<std::array<std::int32_t, 2>>(first_ + contact * layout_.stride, layout_.geoms);
+    }
 
     // Whether one of them touches a geom.
-    bool touch(std::int32_t geom) const;
+    bool touch(std::int32_t geom) const {
+        for (size_t k = 0; k < count_; ++k) {
+            if (std::ranges::count(geoms(k), geom) > 0) { return true; }
+        }
+        return false;
+    }
 
 private:
+    // A number of MuJoCo's struct at an offset.
+    template <class Number>
+    static Number number_at(const void* address, size_t offset) {
+        Number number;
+        std::memcpy(static_cast<void*>(&number), static_cast<const std::byte*>(address) + offset, sizeof(Number));
+        return number;
+    }
+
     const ContactLayout& layout_;
     const std::byte* first_;
     size_t count_;
 };
 
-// Calls a function so that an error of MuJoCo ends this call and not the process.
+using Batch = std::unique_ptr<MujocoBatch, void (*)(MujocoBatch*)>;
+
+// A batch of MuJoCo with one simulation and no thread of its own.
+inline Batch make_batch(const MujocoApi& api) {
+    std::array<char, 500> error{};
+    const MujocoApi::BatchConfig config{.threads = 1, .persistent = 0};
+    Batch batch(api.make_batch(api.empty_model, 1, &config, error.data(), static_cast<int>(error.size())), api.delete_batch);
+    if (!batch) { throw InputError("mujoco: " + std::string(error.data())); }
+    return batch;
+}
+
+// A batch makes one call at a time, so each thread has its own.
+inline MujocoBatch* batch_of_thread(const MujocoApi& api) {
+    thread_local const Batch batch = make_batch(api);
+    return batch.get();
+}
+
+// Calls an object, such as a lambda that captures by reference, so that an error of MuJoCo ends this call and not the process.
 //
-// MuJoCo leaves the function by longjmp, which runs no destructors. So while MuJoCo runs, the function and those that it called
+// MuJoCo leaves the call by longjmp, which runs no destructors. So while MuJoCo runs, the object and the functions that it called
 // must not own memory or locks. It must not throw.
 //
-// Returns MuJoCo's message; empty if the function returned.
-std::string guarded_call(const MujocoApi& api, MujocoApi::BatchFunction function, void* argument);
-
-// The same for a callable object, such as a lambda that captures by reference.
+// Returns MuJoCo's message; empty if the object returned.
 template <class Work>
 std::string guarded(const MujocoApi& api, Work& work) {
     const auto call = [](const MujocoModel*, MujocoData*, int, void* argument) { (*static_cast<Work*>(argument))(); };
-    return guarded_call(api, call, &work);
+    MujocoBatch* batch = batch_of_thread(api);
+    const int failures = api.apply(batch, nullptr, 0, call, &work, 0);
+    return failures == 0 ? std::string() : std::string(api.error(batch, 0));
 }
 
 }  // namespace armctl

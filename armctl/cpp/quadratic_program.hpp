@@ -26,7 +26,7 @@ constexpr double unbounded = 1e30;  // of bounds that the solution does not reac
 
 struct QuadraticProgram {
     Matrix H;      // (n, n), of which the lower triangle counts
-    Vector f;      // (n,)
+    Vector f;      // (n,), or empty for zeros
     Matrix M;      // (m, n)
     Vector lower;  // (n + m,) bounds of x and of M x; -`unbounded` where there is none
     Vector upper;  // (n + m,)
@@ -47,6 +47,27 @@ public:
         return true;
     }
 
+    // The same, with costs in the place of the bounds that exclude zero, where a row of the constraints has a weight (n + m,).
+    bool solve_relaxed(const QuadraticProgram& program, Vector weights, Result x) {
+        relaxed_H_.set(program.H);
+        copy(program.lower, relaxed_lower_);
+        copy(program.upper, relaxed_upper_);
+        std::ranges::fill(relaxed_f_, 0.0);
+        copy(program.f, relaxed_f_);
+        for (size_t row = 0; row < rows_; ++row) {
+            const double nearest = std::min(std::max(0.0, program.lower[row]), program.upper[row]);
+            if (weights[row] == 0.0 || nearest == 0.0) { continue; }
+            set_row(program, row, direction_);
+            for (size_t i = 0; i < n_; ++i) {
+                for (size_t j = 0; j < n_; ++j) { relaxed_H_(i, j) += weights[row] * direction_[i] * direction_[j]; }
+                relaxed_f_[i] -= weights[row] * nearest * direction_[i];
+            }
+            relaxed_lower_[row] = -unbounded;
+            relaxed_upper_[row] = unbounded;
+        }
+        return solve({.H = relaxed_H_, .f = relaxed_f_, .M = program.M, .lower = relaxed_lower_, .upper = relaxed_upper_}, x);
+    }
+
 private:
     static constexpr double infinity = std::numeric_limits<double>::infinity();
     static constexpr double rounding = 1e-12;  // violation of a bound, relative to point and bound, that does not count
@@ -59,39 +80,39 @@ private:
     // Changes of the active set per constraint. In exact arithmetic, the method ends by itself; random programs needed at most 3.
     static constexpr size_t max_changes = 10;
 
-    struct ActiveConstraint {
-        double multiplier;
-        double bound;
-        size_t row;  // which constraint it is
-    };
-
-    // A constraint that enters: the normal of a row, or its opposite.
-    struct Entering {
+    // A constraint that is active or enters: the normal of a row, or its opposite.
+    struct Constraint {
         size_t row;
         double side;   // of the normal: 1 for the lower bound, -1 for the upper one
         double bound;  // of the signed normal
+        double multiplier = 0.0;
     };
+
+    // The coefficients of a constraint, (n,).
+    void set_row(const QuadraticProgram& program, size_t row, Result coefficients) const {
+        if (row >= n_) {
+            copy(program.M.row(row - n_), coefficients);
+            return;
+        }
+        std::ranges::fill(coefficients, 0.0);
+        coefficients[row] = 1.0;
+    }
 
     // The least-distance form of the program; false if a lower bound is above its upper bound.
     bool set_up(const QuadraticProgram& program) {
         factor_.set(program.H);
         factorize(factor_);
         take_roots(factor_);
-        for (size_t i = 0; i < n_; ++i) { start_[i] = -program.f[i]; }
+        for (size_t i = 0; i < n_; ++i) { start_[i] = program.f.empty() ? 0.0 : -program.f[i]; }
         forward_substitute(factor_, start_);
         for (size_t row = 0; row < rows_; ++row) {
             const double lower = program.lower[row];
             const double upper = program.upper[row];
-            is_free_[row] = lower <= -unbounded && upper >= unbounded;
-            if (is_free_[row]) { continue; }
-            if (row < n_) {
-                std::ranges::fill(normals_.row(row), 0.0);
-                normals_(row, row) = 1.0;
-                forward_substitute(factor_, normals_.row(row), row);
-            } else {
-                copy(program.M.row(row - n_), normals_.row(row));
-                forward_substitute(factor_, normals_.row(row));
-            }
+            tolerances_[row] = infinity;
+            if (lower <= -unbounded && upper >= unbounded) { continue; }
+            tolerances_[row] = rounding;
+            set_row(program, row, normals_.row(row));
+            forward_substitute(factor_, normals_.row(row), row < n_ ? row : 0);
             const double scale = 1.0 / std::sqrt(dot(normals_.row(row), normals_.row(row)));
             for (double& number : normals_.row(row)) { number *= scale; }
             low_[row] = scale * lower;
@@ -103,15 +124,13 @@ private:
 
     // Moves the point to that of the polyhedron which is nearest to the start; false if there is none.
     bool find_nearest() {
-        begin_without_constraints();
-        std::optional<Entering> entering;
-        double multiplier = 0.0;  // of the entering constraint
+        count_ = 0;
+        copy(start_, point_);
+        set_identity(basis_);
+        std::optional<Constraint> entering;
         bool is_exact = true;
         for (size_t change = 0; change < max_changes * rows_; ++change) {
-            if (!entering) {
-                entering = most_violated();
-                multiplier = 0.0;
-            }
+            if (!entering) { entering = most_violated(); }
             if (!entering) {
                 if (is_exact) { return true; }
                 set_point();
@@ -131,7 +150,7 @@ private:
             }
             const double full = independent > 0.0 ? violation / independent : infinity;
             const double step = dropped ? std::min(full, active_[*dropped].multiplier / rates_[*dropped]) : full;
-            multiplier += step;
+            entering->multiplier += step;
             move(step);
             is_exact = false;
             if (step < full) {
@@ -139,25 +158,18 @@ private:
                 drop(*dropped);
             } else {
                 tolerances_[row] = infinity;
-                add({.multiplier = multiplier, .bound = bound, .row = row});
+                add(*entering);
                 entering.reset();
             }
         }
         return false;
     }
 
-    void begin_without_constraints() {
-        count_ = 0;
-        copy(start_, point_);
-        for (size_t row = 0; row < rows_; ++row) { tolerances_[row] = is_free_[row] ? infinity : rounding; }
-        set_identity(basis_);
-    }
-
     // The constraint that the point violates most, if there is one.
-    std::optional<Entering> most_violated() const {
+    std::optional<Constraint> most_violated() const {
         const double distance = std::sqrt(dot(point_, point_));
         double largest = 0.0;
-        std::optional<Entering> found;
+        std::optional<Constraint> found;
         for (size_t row = 0; row < rows_; ++row) {
             if (tolerances_[row] == infinity) { continue; }
             const double position = dot(normals_.row(row), point_);
@@ -175,7 +187,7 @@ private:
 
     // Finds coordinates of a signed normal and rates of the multipliers. Returns the squared length of the part of the normal that
     // the active ones do not span.
-    double project(const Entering& entering) {
+    double project(const Constraint& entering) {
         const Vector normal = normals_.row(entering.row);
         double independent = 0.0;
         for (size_t j = 0; j < n_; ++j) {
@@ -222,7 +234,7 @@ private:
     }
 
     // Adds a constraint with known coordinates to the active ones, by a Householder reflection of the other basis vectors.
-    void add(const ActiveConstraint& constraint) {
+    void add(const Constraint& constraint) {
         double square = 0.0;
         for (size_t j = count_; j < n_; ++j) { square += coordinates_[j] * coordinates_[j]; }
         const double length = -std::copysign(std::sqrt(square), coordinates_[count_]);
@@ -262,16 +274,18 @@ private:
     DenseMatrix basis_{n_, n_};                   // P: its first rows span the normals of the active constraints
     DenseMatrix triangle_{n_, n_};                // T: its row j gives the normal of active constraint j in the basis
     Numbers low_ = Numbers(rows_), high_ = low_;  // bounds, scaled with the normals
-    Numbers tolerances_ =
-        Numbers(rows_);  // relative violation, from which a constraint enters; infinite while it is active, and without bounds
-    std::vector<bool> is_free_ = std::vector<bool>(rows_);  // rows without bounds
-    Numbers start_ = Numbers(n_);                           // y0
-    Numbers point_ = Numbers(n_);                           // y
-    Numbers coordinates_ = Numbers(n_);                     // in the basis
-    Numbers direction_ = Numbers(n_);                       // of the last move
-    Numbers rates_ = Numbers(n_);           // at which the multipliers decrease, per increase of that of the entering constraint
-    std::vector<ActiveConstraint> active_;  // (n,), of which the first `count_` count
+    // Relative violation, from which a constraint enters; infinite while it is active, and without bounds.
+    Numbers tolerances_ = low_;
+    Numbers start_ = Numbers(n_);        // y0
+    Numbers point_ = Numbers(n_);        // y
+    Numbers coordinates_ = Numbers(n_);  // in the basis
+    Numbers direction_ = Numbers(n_);    // of the last move
+    Numbers rates_ = Numbers(n_);        // at which the multipliers decrease, per increase of that of the entering constraint
+    std::vector<Constraint> active_;     // (n,), of which the first `count_` count
     size_t count_ = 0;
+    // The program with costs in the place of bounds.
+    DenseMatrix relaxed_H_{n_, n_};
+    Numbers relaxed_f_ = Numbers(n_), relaxed_lower_ = Numbers(rows_), relaxed_upper_ = relaxed_lower_;
 };
 
 }  // namespace armctl

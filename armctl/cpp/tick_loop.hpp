@@ -87,11 +87,14 @@ public:
 
     // Throws InputError if the ticks cannot run with a law, a delay and a sensor, each of which may be null.
     void check(const Ticks& ticks, const Law& law, const Delay* delay, const WrenchSensor* sensor) const {
-        if (law.joints() != joints()) {
-            throw InputError("law: it is one for " + std::to_string(law.joints()) + " joints, and the simulation has " +
+        const auto require_joints = [this](size_t given, const char* name) {
+            if (given == joints()) { return; }
+            throw InputError(std::string(name) + ": it is one for " + std::to_string(given) + " joints, and the simulation has " +
                              std::to_string(joints()));
-        }
-        if (delay != nullptr && delay->joints() != joints()) { throw InputError("delay: it is one for another number of joints"); }
+        };
+        require_joints(law.joints(), "law");
+        if (delay != nullptr) { require_joints(delay->joints(), "delay"); }
+        if (sensor != nullptr) { require_joints(sensor->joints(), "sensor"); }
         if (ticks.pushes.rows > 0 && (delay == nullptr || ticks.push.empty())) {
             throw InputError("pushes: they need a delay, and `push`, where the last one is noted");
         }
@@ -99,7 +102,6 @@ public:
         if (ticks.first < ticks.last && (law.needs_wrench() || sensor != nullptr) && !is_sensed) {
             throw InputError("sensor: a law that needs the wrench needs a sensor, the times of the ticks, and wrench_rows");
         }
-        if (sensor != nullptr && sensor->joints() != joints()) { throw InputError("sensor: it is one for another number of joints"); }
     }
 
     // Runs the ticks with the law. Without a delay, the motors receive the command itself, and nothing pushes. The sensor measures

@@ -32,7 +32,7 @@ struct WrenchSignals {
 class WrenchEstimate {
 public:
     // rows: 3 for the force only, 6 for force and moment.
-    WrenchEstimate(const Model& model, double dt, size_t rows) : dynamics_(model), dt_(dt), mobility_(rows, rows) {}
+    WrenchEstimate(const Model& model, double dt, size_t rows) : dynamics_(model), dt_(dt), square_(rows, rows) {}
 
     void reset() { last_t_ = std::numeric_limits<double>::quiet_NaN(); }
 
@@ -57,26 +57,23 @@ public:
 
 private:
     static constexpr double bandwidth = 200.0;  // rad/s of the low-pass
-    // Relative, of J J^T: a wrench along a direction of less, which is singular, moves no joint.
-    static constexpr double singular = 1e-14;
+    // Relative, of J J^T: a wrench along a direction of less, which is nearly singular, hardly moves a joint.
+    static constexpr double damping = 1e-13;
 
-    // The shortest wrench that explains the torques best, at the located joints: (J J^T)^+ J tau.
+    // The shortest wrench that explains the torques best, at the located joints: (J J^T + damping)^-1 J tau.
     Wrench wrench_for_torques() {
         const Matrix J = dynamics_.tip_jacobian();
-        const size_t rows = mobility_.rows();
-        for (size_t r = 0; r < rows; ++r) {
-            for (size_t c = 0; c < rows; ++c) { mobility_(r, c) = dot(J.row(r), J.row(c)); }
-        }
-        diagonalize(mobility_, directions_);
-        double largest = 0.0;
-        for (size_t k = 0; k < rows; ++k) { largest = std::max(largest, mobility_(k, k)); }
+        const size_t rows = square_.rows();
         Wrench wrench{};
-        for (size_t k = 0; k < rows; ++k) {
-            if (!(mobility_(k, k) > singular * largest)) { continue; }
-            double along = 0.0;
-            for (size_t r = 0; r < rows; ++r) { along += directions_(r, k) * dot(J.row(r), filtered_); }
-            for (size_t r = 0; r < rows; ++r) { wrench[r] += directions_(r, k) * along / mobility_(k, k); }
+        double trace = 0.0;
+        for (size_t r = 0; r < rows; ++r) {
+            for (size_t c = 0; c <= r; ++c) { square_(r, c) = dot(J.row(r), J.row(c)); }
+            trace += square_(r, r);
+            wrench[r] = dot(J.row(r), filtered_);
         }
+        for (size_t r = 0; r < rows; ++r) { square_(r, r) += damping * trace; }
+        factorize(square_);
+        solve(square_, Result(wrench).first(rows));
         return wrench;
     }
 
@@ -85,7 +82,7 @@ private:
     Dynamics dynamics_;
     double dt_;
     double last_t_ = std::numeric_limits<double>::quiet_NaN();
-    DenseMatrix mobility_, directions_ = mobility_;
+    DenseMatrix square_;
     Numbers last_q_ = zeros(), last_v_ = zeros(), filtered_ = zeros(), acceleration_ = zeros(), needed_ = zeros();
 };
 

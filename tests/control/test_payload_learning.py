@@ -57,13 +57,16 @@ def test_the_regressor_gives_the_torque_of_a_body_at_the_tip(light_wrist, contin
     parameters = 0.7 * np.concatenate([[1.0], center, moments])
     rng = np.random.default_rng(0)
     models = [each.core_model.for_period(0.002, continuous) for each in (arm, loaded)]
-    Y = np.zeros((arm.n, 10))
+    law = armctl.ComputedTorqueLearning(arm).make_law(0.002, continuous)
+    unknowns = 10 + 1 + arm.n
+    first = 5 * arm.n + 1 + unknowns  # of the regressor in the memory, behind the observer's numbers and the estimate
     tau = np.zeros((2, arm.n))
     for _ in range(5):
         q, v, a = rng.uniform(-1.0, 1.0, (3, arm.n))
         for row, model in zip(tau, models, strict=True):
             _core.inverse_dynamics(model, q[None], v[None], a[None], row[None])
-        _core.payload_regressors(models[0], q[None], v[None], a[None], Y.reshape(1, -1))
+        law.torque(q, v, np.array([q, v, a, v, a]), np.zeros(0), np.empty(arm.n))
+        Y = law.memory[first : first + arm.n * (unknowns + 1)].reshape(arm.n, unknowns + 1)[:, :10]
         assert Y @ parameters == pytest.approx(tau[1] - tau[0], abs=1e-9)
 
 

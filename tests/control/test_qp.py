@@ -8,6 +8,7 @@ import pytest
 from synthetic import BENT, serial_arm
 
 import armctl
+from armctl import _core
 from armctl._core import UNBOUNDED
 from armctl.core.trajectory import Setpoint
 
@@ -99,7 +100,12 @@ def test_limits_that_exclude_each_other_are_violated_least(six):
     assert np.abs(log.q[-1] - log.q_ref[-1]).max() < 1e-2
 
 
-VIOLATION_WEIGHT = 1e4  # as in armctl/cpp/laws/computed_torque_qp.hpp
+# As in armctl/cpp/laws/computed_torque_qp.hpp.
+VIOLATION_WEIGHT = 1e4
+ROTATION_WEIGHT = 0.03
+JOINT_WEIGHT = 0.003
+BRAKE_SHARE = 0.8
+MIN_BRAKE_SHARE = 0.05
 
 
 def daqp_solution(H, f, M, lower, upper):
@@ -108,12 +114,10 @@ def daqp_solution(H, f, M, lower, upper):
     return x if status == 1 else None
 
 
-def torque_of_daqp(program, tau_max):
+def torque_of_daqp(program, torque, tau_max):
     """The torque of a program; if limits contradict each other, those of velocity and position become costs."""
-    H, M, lower, upper, torque = program
+    H, M, lower, upper = program
     n = len(torque)
-    H = H.reshape(n, n)
-    M = M.reshape(n, n)
     deviation = daqp_solution(H, np.zeros(n), M, lower, upper)
     if deviation is None:
         nearest = np.clip(0.0, lower[:n], upper[:n])
@@ -127,13 +131,51 @@ def torque_of_daqp(program, tau_max):
     return np.clip(torque + M @ deviation, -tau_max, tau_max)
 
 
+def stopping_speed(distance, deceleration, dt):
+    """The highest speed s after a step of dt from which a joint stops within a distance, s dt / 2 + s^2 / (2 deceleration)."""
+    half = 0.5 * deceleration * dt
+    rest = np.maximum(distance, 0.0)
+    return np.minimum(np.sqrt(half**2 + 2.0 * deceleration * rest) - half, rest / dt)
+
+
+def program_at(arm, gains, q, v, torque):
+    """H, M, lower and upper of the deviation from the acceleration that needs a torque, for one step of MuJoCo."""
+    n = arm.n
+    model = arm.core_model.for_period(gains["dt"], False)
+    accelerations = np.vstack([np.zeros(n), np.eye(n)])
+    torques = np.empty((n + 1, n))
+    _core.inverse_dynamics(model, np.tile(q, (n + 1, 1)), np.tile(v, (n + 1, 1)), accelerations, torques)
+    bias = torques[0]
+    M = (torques[1:] - bias).T
+    desired = np.linalg.solve(M, torque - bias)
+    J = arm.jacobian(q)
+    J[3:] *= ROTATION_WEIGHT * gains["length"]
+    H = J.T @ J + (JOINT_WEIGHT * gains["length"]) ** 2 * np.eye(n)
+    limits = arm.limits
+    brake = BRAKE_SHARE * (limits.tau_max + np.array([[1.0], [-1.0]]) * bias)
+    down, up = np.minimum(limits.a_max, np.maximum(brake, MIN_BRAKE_SHARE * limits.tau_max) / np.diag(M))
+    highest = np.minimum(limits.v_max, stopping_speed(limits.q_max - q, down, gains["dt"]))
+    lowest = -np.minimum(limits.v_max, stopping_speed(q - limits.q_min, up, gains["dt"]))
+    lower = np.concatenate([(lowest - v) / gains["dt"] - desired, -limits.tau_max - torque])
+    upper = np.concatenate([(highest - v) / gains["dt"] - desired, limits.tau_max - torque])
+    return H, M, lower, upper
+
+
 def test_the_law_gives_the_torque_of_daqp_wherever_the_arm_is(six):
     """Also beyond its limits: in about half of these states, constraints contradict each other."""
     rng = np.random.default_rng(0)
     limits = replace(six.limits, tau_max=0.3 * six.limits.tau_max)
     arm = six.with_limits(limits)
-    law = armctl.ComputedTorqueQP(arm).make_law(0.001, False)
+    controller = armctl.ComputedTorqueQP(arm)
+    law = controller.make_law(0.001, False)
+    gains = controller._law_gains(0.001, False)
+    far = np.full(six.n, UNBOUNDED)
+    unlimited = _core.ComputedTorqueQP(
+        arm.core_model.for_period(0.001, False),
+        **gains | {"q_min": -far, "q_max": far, "v_max": far, "a_max": far, "torque_limit": far},
+    )
     tau = np.zeros(six.n)
+    torque = np.zeros(six.n)
     still = np.zeros(six.n)
     programs = 0
     at_limit = 0
@@ -141,12 +183,11 @@ def test_the_law_gives_the_torque_of_daqp_wherever_the_arm_is(six):
         q = rng.uniform(-1.02, 1.02, six.n) * limits.q_max
         v = rng.normal(size=six.n) * rng.choice([0.1, 0.5, 1.2]) * limits.v_max
         q_ref = q + rng.normal(size=six.n) * rng.choice([1e-3, 0.1, 1.0])
-        law.torque(q, v, np.array([q_ref, still, still, still, still]), np.zeros(0), tau)
-        program = law.last_program()
-        if program is None:
-            continue
-        programs += 1
-        assert np.abs(tau - torque_of_daqp(program, limits.tau_max)).max() <= 1e-7 * limits.tau_max.max()
+        for each, result in ((law, tau), (unlimited, torque)):
+            each.torque(q, v, np.array([q_ref, still, still, still, still]), np.zeros(0), result)
+        program = program_at(arm, gains, q, v, torque)
+        programs += bool((program[2] > 0.0).any() or (program[3] < 0.0).any())
+        assert np.abs(tau - torque_of_daqp(program, torque, limits.tau_max)).max() <= 1e-7 * limits.tau_max.max()
         at_limit += bool((np.abs(tau) == limits.tau_max).any())
     assert programs > 200
     assert at_limit > 100

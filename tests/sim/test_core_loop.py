@@ -126,7 +126,7 @@ def test_a_second_thread_on_a_loop_gets_one_sentence(bundled: armctl.Arm, steppe
         ({"law": _core.PD(stiffness=np.ones(1), damping=np.ones(1))}, "law: it is one for 1 joints, and the simulation has 3"),
         ({"last": 11}, "first, last: they are not rows of the reference"),
         ({"q": np.zeros((10, 2))}, r"q: need an array of shape \(10, 3\), got \(10, 2\)"),
-        ({"delay": _core.Delay(1, 1)}, "delay: it is one for another number of joints"),
+        ({"delay": _core.Delay(1, 1)}, "delay: it is one for 1 joints, and the simulation has 3"),
         ({"pushes": np.zeros((10, 6))}, "pushes: they need a delay"),
         ({"noise": np.zeros((9, 2, 3))}, r"noise: need an array of shape \(10, 2, 3\)"),
         ({"times": np.zeros(10), "sensor": "any"}, "sensor: a law that needs the wrench needs a sensor"),

@@ -6,7 +6,6 @@
 #include <array>
 #include <tuple>
 
-#include "../laws/payload_regressor.hpp"
 #include "arguments.hpp"
 #include "topics.hpp"
 
@@ -98,13 +97,6 @@ void bind_all_states(nb::module_& module) {
         module, "tip_forces", +[](Dynamics& arm, Vector q, Vector wrench, Result tau) { arm.tip_force(q, wrench, tau); },
         {{{"q", 1}, {"wrenches", 0, 6}, {"tau", 1}}},
         "J(q)^T wrench, (T, n) N m, for wrenches (T, 6) on the tip: force first, world axes.");
-    bind_states(
-        module, "payload_regressors",
-        +[](Dynamics& arm, Vector q, Vector v, Vector a, Result Y) {
-            payload_regressor(arm, q, v, a, {Y.data(), q.size(), body_parameters});
-        },
-        {{{"q", 1}, {"v", 1}, {"a", 1}, {"Y", body_parameters}}},
-        "The torques per inertial parameter of a body at the tip, (T, 10 n), row by row: mass, first moment, second moments.");
 }
 
 }  // namespace

@@ -16,7 +16,6 @@
 #include "../laws/operational_space.hpp"
 #include "../laws/pd.hpp"
 #include "../laws/torque_filter.hpp"
-#include "../laws/torque_rate_limit.hpp"
 #include "arguments.hpp"
 #include "topics.hpp"
 
@@ -108,23 +107,8 @@ void bind_computed_torque(nb::module_& module) {
                      "The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.");
 }
 
-nb::object numpy_copy(Vector numbers) {
-    return nb::cast(nb::ndarray<nb::numpy, const double>(numbers.data(), {numbers.size()}), nb::rv_policy::copy);
-}
-
 void bind_qp(nb::module_& module) {
-    bind<ComputedTorqueQP>(module, "ComputedTorqueQP", "Computed torque within limits of torque, velocity and position.")
-        .def(
-            "last_program",
-            [](const ComputedTorqueQP& self) -> nb::object {
-                if (!self.is_limited()) { return nb::none(); }
-                const QuadraticProgram program = self.program();
-                return nb::make_tuple(numpy_copy(program.H.numbers()), numpy_copy(program.M.numbers()), numpy_copy(program.lower),
-                                      numpy_copy(program.upper), numpy_copy(self.torque()));
-            },
-            "H and M row by row, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m "
-            "without\n"
-            "limits; None if the torque was not limited.");
+    bind<ComputedTorqueQP>(module, "ComputedTorqueQP", "Computed torque within limits of torque, velocity and position.");
     bind<MPC, ComputedTorqueQP>(module, "MPC", "Model predictive control within limits of torque, velocity and position.")
         .def_prop_ro("counts", &shared<MPC, &MPC::counts>,
                      "Ticks: all, those that needed a plan, and those without one; a part of the memory.");

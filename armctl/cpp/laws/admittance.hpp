@@ -17,32 +17,22 @@ public:
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const Vector v_ref = setpoint.v_tick;
-        const Vector a_ref = setpoint.a_tick;
         yield(state.wrench);
         task_.measure(state.q, setpoint.q);
         const double posture_bandwidth = 0.5 * bandwidth_;
         for (size_t i = 0; i < tau.size(); ++i) {
-            acceleration_[i] = posture_bandwidth * posture_bandwidth * (setpoint.q[i] - state.q[i]);
-            acceleration_[i] += 2.0 * posture_bandwidth * (v_ref[i] - state.v[i]);
-            v_friction_[i] = v_ref[i];
+            posture_[i] = posture_bandwidth * posture_bandwidth * (setpoint.q[i] - state.q[i]);
+            posture_[i] += 2.0 * posture_bandwidth * (v_ref[i] - state.v[i]);
         }
+        copy(v_ref, v_offset_);
+        copy(rate().first(motion_.size()), motion_);
+        task_.add_joint_motion(motion_, v_offset_);
         for (size_t k = 0; k < motion_.size(); ++k) {
             // The acceleration of the offset is not fed forward: with a delay, a mass below the real one would bounce.
             const double error = task_.error[k] + offset()[k];
-            const double error_rate = task_.error_rate(k, v_ref, state.v, rate()[k]);
-            const double of_posture = dot(task_.J.row(k), acceleration_);
-            motion_[k] = bandwidth_ * bandwidth_ * error + 2.0 * bandwidth_ * error_rate - of_posture;
+            motion_[k] = bandwidth_ * bandwidth_ * error + 2.0 * bandwidth_ * task_.error_rate(k, v_ref, state.v, rate()[k]);
         }
-        task_.add_joint_motion(motion_, acceleration_);
-        copy(rate().first(motion_.size()), motion_);
-        task_.add_joint_motion(motion_, v_friction_);
-        for (size_t i = 0; i < tau.size(); ++i) {
-            acceleration_[i] += a_ref[i];
-            error_rate_[i] = v_friction_[i] - state.v[i];
-        }
-        task_.dynamics.inverse_dynamics(state.q, state.v, acceleration_, tau);
-        task_.dynamics.add_linear_damping(error_rate_, tau);
-        task_.dynamics.add_friction(v_friction_, a_ref, tau);
+        task_.torque(state, setpoint.a_tick, motion_, posture_, v_offset_, v_offset_, tau);
         for (size_t i = 0; i < tau.size(); ++i) {
             for (size_t k = 0; k < motion_.size(); ++k) { tau[i] -= task_.J(k, i) * filtered_wrench()[k]; }
         }
@@ -78,7 +68,8 @@ private:
     double dt_;
     TaskSpace task_;
     Numbers motion_ = Numbers(task_.factors.rows());  // of the tip
-    Numbers acceleration_ = zeros(), v_friction_ = zeros(), error_rate_ = zeros();
+    Numbers posture_ = zeros();                       // acceleration
+    Numbers v_offset_ = zeros();                      // velocity of the reference with the offset
 };
 
 }  // namespace armctl

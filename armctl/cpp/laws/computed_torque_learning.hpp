@@ -1,9 +1,56 @@
 // Computed torque with a disturbance observer, which learns payload, friction and delay, and feeds them forward.
 #pragma once
 #include "computed_torque_observer.hpp"
-#include "payload_regressor.hpp"
 
 namespace armctl {
+
+// The parameters of a rigid body at the tip: the mass m, the first moment m c (3,) and the second moments S, xx yy zz xy xz yz,
+// kg m^2, in the tip's frame. Its inertia about the tip is tr(S) 1 - S. The torque is linear in them.
+//
+// Source: Atkeson, An, Hollerbach, "Estimation of inertial parameters of manipulator loads and links" (1986).
+constexpr size_t body_parameters = 10;
+
+// The torques of a body at the tip per parameter, the first ten columns of Y (n, 10 or more), at a motion of the arm.
+//
+// A point x of the body has the acceleration a + A x with A = [alpha] + [omega]^2 and a that of the tip minus gravity. Its
+// force and moment about the tip are therefore m a + A h and h x a + sum over i, j of S_ij e_i x A e_j.
+inline void payload_regressor(Dynamics& dynamics, Vector q, Vector v, Vector a, MatrixResult Y) {
+    const BodyMotion motion = dynamics.tip_motion(q, v, a);
+    const Rotation rotation = dynamics.tip().rotation;
+    const Matrix J = dynamics.tip_jacobian();
+    const Vec3 w = motion.omega;
+    const Vec3 alpha = motion.alpha;
+    const double square = dot(w, w);
+    const std::array<Vec3, 3> A{{
+        // its columns
+        {w.x * w.x - square, w.y * w.x + alpha.z, w.z * w.x - alpha.y},
+        {w.x * w.y - alpha.z, w.y * w.y - square, w.z * w.y + alpha.x},
+        {w.x * w.z + alpha.y, w.y * w.z - alpha.x, w.z * w.z - square},
+    }};
+    for (size_t i = 0; i < Y.rows; ++i) {
+        const Vec3 linear = rotation.inverse_times({J(0, i), J(1, i), J(2, i)});
+        const Vec3 angular = rotation.inverse_times({J(3, i), J(4, i), J(5, i)});
+        // angular . (e_k x a) = e_k . (a x angular)
+        const Vec3 moment = cross(motion.linear, angular);
+        // Component i of vector k is angular . (e_i x A e_k).
+        const Vec3 x = cross(A[0], angular);
+        const Vec3 y = cross(A[1], angular);
+        const Vec3 z = cross(A[2], angular);
+        const std::array<double, body_parameters> torques{
+            dot(linear, motion.linear),
+            moment.x + dot(linear, A[0]),
+            moment.y + dot(linear, A[1]),
+            moment.z + dot(linear, A[2]),
+            x.x,
+            y.y,
+            z.z,
+            y.x + x.y,
+            z.x + x.z,
+            z.y + y.z,
+        };
+        copy(torques, Y.row(i));
+    }
+}
 
 // tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta + friction sign(v_ref) + T tau_ref'
 //
@@ -46,28 +93,27 @@ private:
         size_t n;
         size_t p;
         Result estimate = vector(p);
-        std::array<MatrixResult, 2> filtered_regressors = {matrix(n), matrix(n)};  // behind each low-pass
-        std::array<Result, 2> filtered_torques = {vector(n), vector(n)};           // behind each low-pass
-        MatrixResult information = matrix(p);
-        Result information_vector = vector(p);
-        MatrixResult regressor = matrix(n);  // torques per unknown
-        Result fed_forward = vector(n);      // N m
-        Result needed = vector(n);           // N m, that the model needs for the reference
-        Result last_rate = vector(n);        // N m/s, of the torque that the reference needs
+        // Torques per unknown, and in the last column those that the estimate is to explain: now, and behind each low-pass.
+        MatrixResult regressor = matrix(n);
+        std::array<MatrixResult, 2> filtered = {matrix(n), matrix(n)};
+        MatrixResult information = matrix(p + 1);  // the last row is the information vector
+        Result fed_forward = vector(n);            // N m
+        Result needed = vector(n);                 // N m, that the model needs for the reference
+        Result last_rate = vector(n);              // N m/s, of the torque that the reference needs
         double& reference_moved = vector(1)[0];
 
         Result vector(size_t size) {
             next += size;
             return {next - size, size};
         }
-        MatrixResult matrix(size_t rows) { return {vector(rows * p).data(), rows, p}; }
+        MatrixResult matrix(size_t rows) { return {vector(rows * (p + 1)).data(), rows, p + 1}; }
     };
 
     static size_t unknown_count(size_t n) { return first_friction_unknown + n; }
 
     static size_t memory_size(size_t n) {
         const size_t p = unknown_count(n);
-        return p + 3 * n * p + p * p + p + 5 * n + 1;
+        return p + (3 * n + p + 1) * (p + 1) + 3 * n + 1;
     }
 
     Memory memory_parts() { return {.next = own_memory().data(), .n = joints(), .p = p_}; }
@@ -84,7 +130,7 @@ private:
             const double mean_misfit = misfit / static_cast<double>(joints());
             add_information(1.0 - forgetting_ * (1.0 + std::min(mean_misfit, max_misfit)), memory);
             factorize(factors_);
-            copy(memory.information_vector, memory.estimate);
+            copy(memory.information.row(p_).first(p_), memory.estimate);
             solve(factors_, memory.estimate);
             for (size_t k = 0; k < p_; ++k) { memory.estimate[k] *= prior_deviations_[k]; }
         }
@@ -97,19 +143,15 @@ private:
     double filter(Memory& memory) {
         double misfit = 0.0;
         for (size_t i = 0; i < joints(); ++i) {
-            const double unmodelled = last_torque()[i] + memory.fed_forward[i] - needed_[i];
-            const double scale = torque_precision_[i];
-            double& first_torque = memory.filtered_torques[0][i];
-            double& second_torque = memory.filtered_torques[1][i];
-            first_torque += filter_weight_ * (scale * unmodelled - first_torque);
-            second_torque += filter_weight_ * (first_torque - second_torque);
-            double residual = second_torque;
-            for (size_t k = 0; k < p_; ++k) {
-                double& first = memory.filtered_regressors[0](i, k);
-                double& second = memory.filtered_regressors[1](i, k);
-                first += filter_weight_ * (scale * prior_deviations_[k] * memory.regressor(i, k) - first);
+            memory.regressor(i, p_) = last_torque()[i] + memory.fed_forward[i] - needed_[i];
+            double residual = 0.0;
+            for (size_t k = p_ + 1; k-- > 0;) {
+                double& first = memory.filtered[0](i, k);
+                double& second = memory.filtered[1](i, k);
+                const double unit = k < p_ ? prior_deviations_[k] : 1.0;
+                first += filter_weight_ * (torque_precision_[i] * unit * memory.regressor(i, k) - first);
                 second += filter_weight_ * (first - second);
-                residual -= second * memory.estimate[k] / prior_deviations_[k];
+                residual += k < p_ ? -second * memory.estimate[k] / unit : second;
             }
             misfit += residual * residual;
         }
@@ -118,18 +160,16 @@ private:
 
     // Adds the information of one control period to that which is kept, and the prior to the copy that is to be factorized.
     void add_information(double keep, Memory& memory) {
-        const MatrixResult Y = memory.filtered_regressors[1];
-        for (size_t k = 0; k < p_; ++k) {
-            memory.information_vector[k] =
-                keep * memory.information_vector[k] + information_weight_ * dot(Y.column(k), memory.filtered_torques[1]);
+        const MatrixResult Y = memory.filtered[1];
+        for (size_t k = 0; k <= p_; ++k) {
             for (size_t j = 0; j <= k; ++j) {
                 double total = 0.0;
                 for (size_t i = 0; i < Y.rows; ++i) { total += Y(i, k) * Y(i, j); }
                 memory.information(k, j) = keep * memory.information(k, j) + information_weight_ * total;
-                factors_(k, j) = memory.information(k, j);
+                if (k < p_) { factors_(k, j) = memory.information(k, j); }
             }
-            factors_(k, k) += 1.0;  // the prior, in units of its standard deviations
         }
+        for (size_t k = 0; k < p_; ++k) { factors_(k, k) += 1.0; }  // the prior, in units of its standard deviations
     }
 
     // The torque of the reference with the present estimate, and how fast it changed since the last tick.

@@ -22,19 +22,16 @@ public:
           mean_share_(gains.flag("continuous") ? 0.5 : 0.0), start_(at_start(*model)), solver_(joints()) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
-        is_limited_ = make_program(state, setpoint, tau);
-        if (!is_limited_) { return; }
-        copy(tau, torque_);
-        find_deviation();
+        if (!make_program(state, setpoint, tau)) { return; }
+        // If the limits contradict each other, those of velocity and position become costs.
+        const QuadraticProgram program{.H = H_, .f = {}, .M = M_, .lower = lower_, .upper = upper_};
+        double trace = 0.0;
+        for (size_t i = 0; i < joints(); ++i) { trace += H_(i, i); }
+        std::fill_n(weights_.begin(), joints(), violation_weight * trace);
+        const bool is_solved = solver_.solve(program, deviation_) || solver_.solve_relaxed(program, weights_, deviation_);
+        if (!is_solved) { std::ranges::fill(deviation_, 0.0); }
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = clipped(dot(M_.row(i), deviation_, tau[i]), tau_max_[i]); }
     }
-
-    // The program of the last tick, with f = 0; M is the inertia of one control period, so the torque of a deviation x is M x.
-    QuadraticProgram program() const { return {.H = H_, .f = relaxed_cost_, .M = M_, .lower = lower_, .upper = upper_}; }
-
-    // Whether the torque was limited, and the torque without limits, (n,) N m.
-    bool is_limited() const { return is_limited_; }
-    Vector torque() const { return torque_; }
 
 protected:
     // Changes the desired acceleration and the torque before the limits of this tick; M_ and H_ are those of this tick.
@@ -192,41 +189,10 @@ private:
         return std::min(speed, rest / std::max((1.0 - mean_share_) * dt_, 1e-300));
     }
 
-    // Solves the program. Where limits contradict each other, those of velocity and position become costs.
-    void find_deviation() {
-        std::ranges::fill(relaxed_cost_, 0.0);
-        if (solver_.solve(program(), deviation_)) { return; }
-        relax_bounds();
-        const QuadraticProgram relaxed{.H = relaxed_H_, .f = relaxed_cost_, .M = M_, .lower = relaxed_lower_, .upper = relaxed_upper_};
-        if (!solver_.solve(relaxed, deviation_)) { std::ranges::fill(deviation_, 0.0); }
-    }
-
-    // Makes costs of the bounds of the deviation that exclude zero.
-    void relax_bounds() {
-        double trace = 0.0;
-        for (size_t i = 0; i < joints(); ++i) { trace += H_(i, i); }
-        relaxed_H_ = H_;
-        relaxed_lower_ = lower_;
-        relaxed_upper_ = upper_;
-        for (size_t i = 0; i < joints(); ++i) {
-            const double nearest = std::min(std::max(0.0, lower_[i]), upper_[i]);
-            if (nearest == 0.0) { continue; }
-            const double weight = violation_weight * trace;
-            relaxed_H_(i, i) += weight;
-            relaxed_cost_[i] = -weight * nearest;
-            relaxed_lower_[i] = -unbounded;
-            relaxed_upper_[i] = unbounded;
-        }
-    }
-
     ActiveSetSolver solver_;
-    bool is_limited_ = false;
     Numbers offset_ = zeros();  // J^T c: c is what the tip's acceleration lacks of its own feedback law
-    Numbers torque_ = zeros();  // without limits
-    Numbers lower_ = Numbers(2 * joints()), upper_ = Numbers(2 * joints());
-    // The program with costs in the place of bounds that contradict others.
-    DenseMatrix relaxed_H_ = square();
-    Numbers relaxed_cost_ = zeros(), relaxed_lower_ = lower_, relaxed_upper_ = upper_;
+    // The bounds of the deviation and of its torque, and the weights of the former where they cannot be respected.
+    Numbers lower_ = Numbers(2 * joints()), upper_ = lower_, weights_ = lower_;
     Numbers deviation_ = zeros();  // from the desired acceleration
 };
 

@@ -1,5 +1,7 @@
 // The contact transition of a force axis: approach, contact, and back if the contact is lost.
 #pragma once
+#include <optional>
+
 #include "../law.hpp"
 
 namespace armctl {
@@ -29,7 +31,7 @@ struct ForceAxis {
     explicit ForceAxis(Result memory)
         : touches(memory[0]), measured(memory[1]), commanded(memory[2]), integral(memory[3]), lost_time(memory[4]), yielding(memory[5]),
           steady_speed(memory[6]), first_force(memory[7]), depth(memory[8]), depth_depth(memory[9]), depth_speed(memory[10]),
-          speed_speed(memory[11]), depth_force(memory[12]), speed_force(memory[13]) {}
+          speed_speed(memory[11]), depth_force(memory[12]), speed_force(memory[13]), of_wall(memory.subspan(7)) {}
 
     double& touches;       // 1 in contact, else 0
     double& measured;      // N, filtered
@@ -46,6 +48,7 @@ struct ForceAxis {
     double& speed_speed;
     double& depth_force;
     double& speed_force;
+    Result of_wall;  // the numbers from `first_force` on
 
     AxisCommand command(const AxisTick& tick) {
         measured += low_pass_weight(force_filter, tick.dt) * (tick.measured - measured);
@@ -61,7 +64,6 @@ private:
     struct Wall {
         double stiffness = 0.0;  // N/m
         double damping = 0.0;    // N s/m
-        bool is_known = false;
     };
 
     static constexpr double force_filter = 300.0;  // rad/s; about 3 ms against the noise of force sensors
@@ -96,13 +98,7 @@ private:
     // Follows the tip in the wall from the first force on.
     void update_wall(const AxisTick& tick, double sign, double pressing) {
         if (pressing < first_ratio * tick.threshold || tick.target == 0.0) {
-            first_force = 0.0;
-            depth = 0.0;
-            depth_depth = 0.0;
-            depth_speed = 0.0;
-            speed_speed = 0.0;
-            depth_force = 0.0;
-            speed_force = 0.0;
+            std::ranges::fill(of_wall, 0.0);
             return;
         }
         const double speed = sign * tick.speed;
@@ -117,31 +113,30 @@ private:
     }
 
     // Stiffness, N/m, and damping, N s/m, of the wall by least squares over the way so far: rise = stiffness depth + damping speed.
-    Wall wall() const {
+    std::optional<Wall> wall() const {
         const double determinant = depth_depth * speed_speed - depth_speed * depth_speed;
-        if (!(determinant > min_independence * depth_depth * speed_speed)) { return {}; }
+        if (!(determinant > min_independence * depth_depth * speed_speed)) { return std::nullopt; }
         Wall found{
             .stiffness = (depth_force * speed_speed - speed_force * depth_speed) / determinant,
             .damping = (speed_force * depth_depth - depth_force * depth_speed) / determinant,
-            .is_known = true,
         };
-        if (found.damping < 0.0) { found = {.stiffness = depth_force / depth_depth, .damping = 0.0, .is_known = true}; }
+        if (found.damping < 0.0) { found = {.stiffness = depth_force / depth_depth}; }
         found.stiffness = std::max(found.stiffness, min_stiffness);
         return found;
     }
 
     // The speed beyond that of a damped tip with which an error of the force decays at `force_rate` on the wall.
-    double sinking_speed(const AxisTick& tick, const Wall& wall, double error, double pressing) const {
-        if (!wall.is_known || pressing - first_force < first_ratio * tick.threshold) { return 0.0; }
-        const double resistance = wall.damping + wall.stiffness / force_rate;
+    double sinking_speed(const AxisTick& tick, const std::optional<Wall>& wall, double error, double pressing) const {
+        if (!wall || pressing - first_force < first_ratio * tick.threshold) { return 0.0; }
+        const double resistance = wall->damping + wall->stiffness / force_rate;
         const double speed = (1.0 / resistance - 1.0 / (damping_rate * tick.mass)) * error;
         return speed * error > 0.0 ? clipped(speed, max_sinking_speed) : 0.0;
     }
 
     // Of the target, what the damping is relieved of: the more, the more the wall damps the mass of the tip instead.
-    static double relieved_ratio(const Wall& wall, double mass) {
-        if (!wall.is_known) { return min_relieved_ratio; }
-        const double damping_ratio = 0.5 * wall.damping / std::sqrt(wall.stiffness * mass);
+    static double relieved_ratio(const std::optional<Wall>& wall, double mass) {
+        if (!wall) { return min_relieved_ratio; }
+        const double damping_ratio = 0.5 * wall->damping / std::sqrt(wall->stiffness * mass);
         return min_relieved_ratio + (max_relieved_ratio - min_relieved_ratio) * std::clamp(2.0 * damping_ratio - 1.0, 0.0, 1.0);
     }
 
@@ -183,7 +178,7 @@ private:
         const double error = commanded - measured;
         const double damping = damping_rate * tick.mass;
         const double bound = max_integrated_error * std::abs(tick.target);
-        const Wall wall = this->wall();
+        const std::optional<Wall> wall = this->wall();
         const double sinking = sinking_speed(tick, wall, error, pressing);
         const double faster = tick.speed - sinking;
         const double reducing = error * faster > 0.0 ? faster : 0.0;

@@ -55,25 +55,19 @@ public:
         command_axes(state.wrench);
         const double posture_bandwidth = 0.5 * bandwidth_;
         for (size_t i = 0; i < tau.size(); ++i) {
-            acceleration_[i] = posture_bandwidth * posture_bandwidth * (setpoint.q[i] - state.q[i]);
-            acceleration_[i] += 2.0 * posture_bandwidth * (v_ref[i] - velocity()[i]);
-            change_[i] = 0.0;
+            posture_[i] = posture_bandwidth * posture_bandwidth * (setpoint.q[i] - state.q[i]);
+            posture_[i] += 2.0 * posture_bandwidth * (v_ref[i] - velocity()[i]);
         }
         find_task(v_ref, a_ref);
-        task_.add_joint_motion(controlled(motion_), acceleration_);
         // Friction is compensated at the speed at which the tip is to correct its errors: at that of the reference, which may
         // stand still, the friction of the joints would hold the tip where it is.
-        task_.add_joint_motion(controlled(correction_), change_);
-        for (size_t i = 0; i < tau.size(); ++i) {
-            acceleration_[i] += a_ref[i];
-            v_friction_[i] = v_ref[i] + change_[i];
-            rate_[i] = v_friction_[i] - velocity()[i];
-        }
-        task_.dynamics.inverse_dynamics(state.q, state.v, acceleration_, tau);
-        task_.dynamics.add_linear_damping(rate_, tau);
+        copy(v_ref, v_corrected_);
+        task_.add_joint_motion(controlled(correction_), v_corrected_);
+        copy(v_corrected_, v_friction_);
         Vector6 yielding = along_force_axes(&AxisCommand::yielding_speed);
         task_.add_joint_motion(controlled(yielding), v_friction_);
-        task_.dynamics.add_friction(v_friction_, a_ref, tau);
+        const State filtered{.q = state.q, .v = velocity(), .wrench = {}};
+        task_.torque(filtered, a_ref, controlled(motion_), posture_, v_corrected_, v_friction_, tau);
         Vector6 wrench = along_force_axes(&AxisCommand::force);
         subtract_compensated_wrench(state.wrench, wrench);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = dot(task_.J.column(i), wrench, tau[i]); }
@@ -94,9 +88,6 @@ private:
     static constexpr double impact_ratio = 0.7;         // of the target, the force of such an impact
     static constexpr double min_impact_ratio = 0.1;     // where dry friction is larger
     static constexpr double max_approach_speed = 0.05;  // m/s
-    // m; a hand may touch a wall this far from the tip, where its effective mass is larger.
-    static constexpr double max_lever = 0.2;
-    static constexpr double min_mobility_ratio = 0.1;  // of the mobility of the tip, a lower bound for that of another point
 
     // The memory: whether there was a tick, the axes, the filtered wrench, and the filtered velocity.
     Result axis_memory(size_t k) { return memory(1 + ForceAxis::memory_size * k, ForceAxis::memory_size); }
@@ -134,15 +125,11 @@ private:
     }
 
     void command_axes(Vector wrench) {
-        const double trace = task_.find_mobility(mobility_);
         Vector6 twist{};
-        for (size_t k = 0; k < 6; ++k) {
-            twist[k] = dot(task_.J.row(k), velocity());
-            for (size_t j = 0; j < k; ++j) { mobility_(j, k) = mobility_(k, j); }
-        }
+        for (size_t k = 0; k < 6; ++k) { twist[k] = dot(task_.J.row(k), velocity()); }
         for (size_t k = 0; k < 6; ++k) {
             if (!is_force_[k]) { continue; }
-            AxisTick tick = axis_tick(k, trace);
+            AxisTick tick = axis_tick(k);
             tick.measured = -dot(directions_[k], wrench);  // the tip exerts the opposite of the wrench on it
             tick.speed = dot(directions_[k], twist);
             commands_[k] = ForceAxis(axis_memory(k)).command(tick);
@@ -150,7 +137,7 @@ private:
     }
 
     // Mass, approach speed and contact threshold of a force axis.
-    AxisTick axis_tick(size_t k, double trace) {
+    AxisTick axis_tick(size_t k) const {
         // The motion of the joints at unit speed along the axis, and its inertia.
         Vector6 direction = directions_[k];
         const Result unit = controlled(direction);
@@ -167,7 +154,7 @@ private:
         if (approach_speed == 0.0) {
             // When the tip stops, the wall bears the force that moved the joints against their dry friction.
             const double impact = std::max(impact_ratio * target - dry_friction, min_impact_ratio * target);
-            approach_speed = std::min(max_approach_speed, impact * contact_mobility(directions_[k], trace) / wall_damping_rate);
+            approach_speed = std::min(max_approach_speed, impact / (wall_damping_rate * mass));
         }
         return {
             .target = targets_[k],
@@ -178,31 +165,7 @@ private:
         };
     }
 
-    // The smallest mobility, 1/kg, of any point of the hand that may touch, in a direction (6,), a unit twist.
-    //
-    // The mobility of a point at the lever r is that of the twist (n, r x n). It is smallest where the hand does not turn.
-    double contact_mobility(Vector direction, double trace) {
-        std::array<double, 3> lever{};
-        std::array<double, 3> coupling{};
-        double tip = 0.0;
-        for (size_t i = 0; i < 6; ++i) {
-            for (size_t j = 0; j < 6; ++j) { tip += direction[i] * mobility_(i, j) * direction[j]; }
-        }
-        for (size_t i = 0; i < 3; ++i) {
-            coupling[i] = dot(mobility_.row(3 + i), direction.first(3));
-            lever[i] = -coupling[i];
-            for (size_t j = 0; j < 3; ++j) { turning_(i, j) = mobility_(3 + i, 3 + j) + (i == j ? 1e-9 * trace : 0.0); }
-        }
-        factorize(turning_);
-        solve(turning_, lever);
-        const double length = std::sqrt(dot(lever, lever));
-        const double scale = std::min(1.0, max_lever / std::max(length, 1e-12));
-        // The mobility at a part of that lever, which solves (inertia of the turn) lever = -coupling.
-        const double value = tip + (2.0 - scale) * scale * dot(lever, Vector(coupling));
-        return std::max(value, min_mobility_ratio * tip);
-    }
-
-    // The acceleration of the tip minus that of the posture, and the velocity that corrects its errors.
+    // The acceleration of the tip, and the velocity that corrects its errors.
     void find_task(Vector v_ref, Vector a_ref) {
         Vector6 feedforward{};
         for (size_t k = 0; k < 6; ++k) {
@@ -219,9 +182,6 @@ private:
                 motion_[j] += missing * directions_[k][j];
                 correction_[j] += missing_speed * directions_[k][j];
             }
-        }
-        for (size_t k = 0; k < 6; ++k) {
-            for (size_t i = 0; i < joints(); ++i) { motion_[k] -= task_.J(k, i) * acceleration_[i]; }
         }
     }
 
@@ -252,13 +212,12 @@ private:
     Vector6 targets_{};               // N or N m
     double dt_;
     TaskSpace task_;
-    DenseMatrix mobility_{6, 6};           // of the tip
-    DenseMatrix turning_{3, 3};            // factors
     std::array<Vector6, 6> directions_{};  // the unit twist of each axis in the world
     std::array<AxisCommand, 6> commands_;
-    Vector6 motion_{};      // acceleration of the tip minus that of the posture
-    Vector6 correction_{};  // velocity of the tip that corrects its errors
-    Numbers acceleration_ = zeros(), v_friction_ = zeros(), change_ = zeros(), rate_ = zeros();
+    Vector6 motion_{};                                      // acceleration of the tip
+    Vector6 correction_{};                                  // velocity of the tip that corrects its errors
+    Numbers posture_ = zeros();                             // acceleration
+    Numbers v_corrected_ = zeros(), v_friction_ = zeros();  // velocities at which damping and friction are compensated
 };
 
 }  // namespace armctl

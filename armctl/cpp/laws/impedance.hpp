@@ -55,11 +55,9 @@ private:
             }
         }
         for (size_t i = 0; i < n; ++i) {
-            for (size_t k = 0; k <= i; ++k) {
-                double total = 0.0;
-                for (size_t j = 0; j < n; ++j) { total += posture_stiffness_[j] * null_space_(j, i) * null_space_(j, k); }
-                K_(i, k) = total;
-                K_(k, i) = total;
+            for (size_t k = 0; k < n; ++k) {
+                K_(i, k) = 0.0;
+                for (size_t j = 0; j < n; ++j) { K_(i, k) += posture_stiffness_[j] * null_space_(j, i) * null_space_(j, k); }
             }
         }
     }
@@ -69,17 +67,13 @@ private:
         const size_t n = joints();
         take_roots(task_.inertia);
         const DenseMatrix& L = task_.inertia;
-        for (size_t k = 0; k < n; ++k) {  // the columns of L^-1 K
-            for (size_t i = 0; i < n; ++i) {
-                for (size_t j = 0; j < i; ++j) { K_(i, k) -= L(i, j) * K_(j, k); }
-                K_(i, k) /= L(i, i);
+        for (int side = 0; side < 2; ++side) {  // L^-1 K, then L^-1 K L^-T; K is symmetric
+            for (size_t k = 0; k < n; ++k) { forward_substitute(L, K_.row(k)); }
+            for (size_t k = 0; k < n; ++k) {
+                for (size_t i = 0; i < k; ++i) { std::swap(K_(i, k), K_(k, i)); }
             }
         }
-        for (size_t i = 0; i < n; ++i) {  // the rows of L^-1 K L^-T
-            for (size_t k = 0; k < n; ++k) {
-                for (size_t j = 0; j < k; ++j) { K_(i, k) -= L(k, j) * K_(i, j); }
-                K_(i, k) /= L(k, k);
-            }
+        for (size_t i = 0; i < n; ++i) {
             scaled_rate_[i] = 0.0;
             for (size_t k = i; k < n; ++k) { scaled_rate_[i] += L(k, i) * error_rate_[k]; }
         }

@@ -34,7 +34,7 @@ public:
         const Result last = memory(counters, joints());
         for (size_t i = 0; i < joints(); ++i) {
             const double change = torque_rate_[i] * dt_;
-            if (memory()[0] > 0.0 && std::abs(tau[i] - last[i]) > change) { tau[i] = last[i] + clipped(tau[i] - last[i], change); }
+            if (memory()[0] > 0.0) { tau[i] = std::clamp(tau[i], last[i] - change, last[i] + change); }
             tau[i] = clipped(tau[i], tau_max_[i]);  // a plan on a limit exceeds it by rounding
             last[i] = tau[i];
         }
@@ -142,23 +142,20 @@ private:
             error_[i] = setpoint.q[i] - state.q[i];
             rate_[i] = setpoint.v_tick[i] - state.v[i];
         }
-        const bool is_far = approaches_too_fast() || is_outside(state);
+        const bool is_far = this->is_far(state);
         bool is_limited = is_far;
         for (size_t k = 0; k < nodes_.size() && !is_far; ++k) { is_limited = add_node(k, setpoint, tau) || is_limited; }
         min_brake_share_ = is_far ? min_brake_share : planned_brake_share;
-        if (!is_limited) {
+        memory()[1] += is_limited ? 1.0 : 0.0;
+        memory()[2] += is_far ? 1.0 : 0.0;
+        if (!is_limited || is_far) {
             std::ranges::fill(c(), 0.0);
             return;
         }
-        memory()[1] += 1.0;
-        if (is_far) {
-            memory()[2] += 1.0;
-            std::ranges::fill(c(), 0.0);
-            return;
-        }
-        if (solver_.solve(program(), c())) {
+        const QuadraticProgram program = this->program();
+        if (solver_.solve(program, c())) {
             age() = 0.0;
-        } else if (solver_.solve(relaxed(), c())) {
+        } else if (solver_.solve_relaxed(program, violation_weights(), c())) {
             memory()[3] += 1.0;
             age() = 0.0;
         } else {
@@ -264,49 +261,31 @@ private:
                 cost_(row, column) = squares_(row / n, column / n) * H_(row % n, column % n);
             }
         }
-        return {.H = cost_, .f = no_cost_, .M = rows_, .lower = lower_, .upper = upper_};
+        return {.H = cost_, .f = {}, .M = rows_, .lower = lower_, .upper = upper_};
     }
 
-    // The program with costs in the place of the bounds of velocity and position that exclude zero. The cost of a violation is the
+    // Weights of the bounds of velocity and position, where they exclude zero and have no solution. The cost of a violation is the
     // same at all nodes: what c can hardly change any more decides little.
-    QuadraticProgram relaxed() {
-        const size_t n = joints();
+    Vector violation_weights() {
         double cost = 0.0;
-        double square[3] = {};  // the largest one of the rows of torque, velocity and position
+        std::array<double, 3> square{};  // the largest one of the rows of torque, velocity and position
         for (size_t i = 0; i < size(); ++i) { cost = std::max(cost, cost_(i, i)); }
+        const auto kind = [n = joints()](size_t row) { return row % (3 * n) / n; };
         for (size_t row = 0; row < 3 * size(); ++row) {
-            double& largest = square[row % (3 * n) / n];
-            largest = std::max(largest, dot(rows_.row(row), rows_.row(row)));
+            square[kind(row)] = std::max(square[kind(row)], dot(rows_.row(row), rows_.row(row)));
         }
-        relaxed_ = cost_;
-        std::ranges::fill(f_, 0.0);
         for (size_t row = 0; row < 3 * size(); ++row) {
-            const double nearest = std::min(std::max(0.0, lower_[size() + row]), upper_[size() + row]);
-            const size_t kind = row % (3 * n) / n;
-            if (kind == 0 || nearest == 0.0) { continue; }
-            const double weight = violation_weight * cost / square[kind];
-            for (size_t i = 0; i < size(); ++i) {
-                for (size_t j = 0; j < size(); ++j) { relaxed_(i, j) += weight * rows_(row, i) * rows_(row, j); }
-                f_[i] -= weight * nearest * rows_(row, i);
-            }
-            lower_[size() + row] = -unbounded;
-            upper_[size() + row] = unbounded;
+            if (kind(row) != 0) { weights_[size() + row] = violation_weight * cost / square[kind(row)]; }
         }
-        return {.H = relaxed_, .f = f_, .M = rows_, .lower = lower_, .upper = upper_};
+        return weights_;
     }
 
-    // Whether a joint is outside of its range. No plan keeps it then; the program of the tick brakes and brings it back.
-    bool is_outside(const State& state) const {
+    // Whether a joint is outside of its range: no plan keeps it then; the program of the tick brakes and brings it back. Or whether
+    // the feedback of an error asks for more than the limit of velocity: the motion without c is then so far from any that is
+    // possible that a linear model along it means nothing.
+    bool is_far(const State& state) const {
         for (size_t i = 0; i < joints(); ++i) {
             if (state.q[i] < q_min_[i] - position_tolerance || state.q[i] > q_max_[i] + position_tolerance) { return true; }
-        }
-        return false;
-    }
-
-    // Whether the feedback of an error asks for more than the limit of velocity. The motion without c is then so far from any that
-    // is possible that a linear model along it means nothing.
-    bool approaches_too_fast() const {
-        for (size_t i = 0; i < joints(); ++i) {
             if (stiffness_ * std::abs(error_[i]) > damping_ * v_max_[i]) { return true; }
         }
         return false;
@@ -319,12 +298,12 @@ private:
     size_t rates_;  // rows of the torque rate
     ActiveSetSolver solver_;
     DenseMatrix squares_{blocks(), blocks()};  // of the weights of two blocks, summed over the horizon
-    DenseMatrix inertia_ = square(), cost_{size(), size()}, relaxed_ = cost_, rows_{3 * size() + rates_, size()};
+    DenseMatrix inertia_ = square(), cost_{size(), size()}, rows_{3 * size() + rates_, size()};
     Numbers q_target_ = zeros(), v_target_ = zeros(), a_target_ = zeros();
     Numbers error_ = zeros(), rate_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros(), v_ref_ = zeros(), a_ref_ = zeros(), tau_ = zeros(),
             tau_before_ = zeros(), added_ = zeros();
-    Numbers no_cost_ = Numbers(size()), f_ = no_cost_, lower_ = Numbers(4 * size() + rates_, -unbounded),
-            upper_ = Numbers(4 * size() + rates_, unbounded);
+    Numbers lower_ = Numbers(4 * size() + rates_, -unbounded), upper_ = Numbers(4 * size() + rates_, unbounded);
+    Numbers weights_ = Numbers(4 * size() + rates_);
 };
 
 }  // namespace armctl

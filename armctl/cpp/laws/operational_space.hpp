@@ -15,22 +15,13 @@ public:
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const Vector v_ref = setpoint.v_tick;
-        const Vector a_ref = setpoint.a_tick;
         task_.measure(state.q, setpoint.q);
         for (size_t i = 0; i < tau.size(); ++i) {
-            error_rate_[i] = v_ref[i] - state.v[i];
-            acceleration_[i] = posture_stiffness_ * (setpoint.q[i] - state.q[i]) + posture_damping_ * error_rate_[i];
+            posture_[i] = posture_stiffness_ * (setpoint.q[i] - state.q[i]) + posture_damping_ * (v_ref[i] - state.v[i]);
         }
-        Vector6 left_to_tip{};  // by the posture
-        for (size_t k = 0; k < 6; ++k) {
-            const double of_posture = dot(task_.J.row(k), acceleration_);
-            left_to_tip[k] = stiffness_ * task_.error[k] + damping_ * task_.error_rate(k, v_ref, state.v) - of_posture;
-        }
-        for (size_t i = 0; i < tau.size(); ++i) { acceleration_[i] += a_ref[i]; }
-        task_.add_joint_motion(left_to_tip, acceleration_);
-        task_.dynamics.inverse_dynamics(state.q, state.v, acceleration_, tau);
-        task_.dynamics.add_linear_damping(error_rate_, tau);
-        task_.dynamics.add_friction(v_ref, a_ref, tau);
+        Vector6 motion{};
+        for (size_t k = 0; k < 6; ++k) { motion[k] = stiffness_ * task_.error[k] + damping_ * task_.error_rate(k, v_ref, state.v); }
+        task_.torque(state, setpoint.a_tick, motion, posture_, v_ref, v_ref, tau);
     }
 
 private:
@@ -39,7 +30,7 @@ private:
     double posture_stiffness_;  // 1/s^2, of the joints
     double posture_damping_;    // 1/s
     TaskSpace task_;
-    Numbers acceleration_ = zeros(), error_rate_ = zeros();
+    Numbers posture_ = zeros();  // acceleration
 };
 
 }  // namespace armctl

@@ -63,6 +63,21 @@ struct TaskSpace {
         for (size_t i = 0; i < n; ++i) { motion[i] = dot(responses.row(i), motion_of_tip, motion[i]); }
     }
 
+    // tau = ID(q, v, a_ref + posture + J# (motion - J posture)) + damping (v_damped - v) + friction(v_friction, a_ref)
+    //
+    // `motion` (rows,) and `posture` (n,) are accelerations; both are replaced.
+    void torque(const State& state, Vector a_ref, Result motion, Result posture, Vector v_damped, Vector v_friction, Result tau) {
+        for (size_t k = 0; k < motion.size(); ++k) { motion[k] -= dot(J.row(k), posture); }
+        add_joint_motion(motion, posture);
+        for (size_t i = 0; i < n; ++i) {
+            posture[i] += a_ref[i];
+            column[i] = v_damped[i] - state.v[i];
+        }
+        dynamics.inverse_dynamics(state.q, state.v, posture, tau);
+        dynamics.add_linear_damping(column, tau);
+        dynamics.add_friction(v_friction, a_ref, tau);
+    }
+
     Dynamics dynamics;
     size_t n = dynamics.model().n();
     DenseMatrix J{6, n};          // at the measured configuration

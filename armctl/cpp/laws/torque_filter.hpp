@@ -1,8 +1,43 @@
-// Linear filters of the torques of another law: notches and low-passes.
+// Laws around another one, whose torques they change: linear filters, which are notches and low-passes, and limits of the rate.
 #pragma once
-#include "law_around.hpp"
+#include <utility>
+
+#include "../law.hpp"
 
 namespace armctl {
+
+// The inner law is shared with its owner, who sees its memory. The memory of a law is one vector, so it contains that of the
+// inner law, which gets it in each tick.
+class LawAround : public Law {
+public:
+    void set_memory(Vector numbers) override {
+        Law::set_memory(numbers);
+        inner_->set_memory(inner_memory());
+    }
+
+protected:
+    // `own` numbers of memory come before those of the inner law, after whether there was a tick.
+    LawAround(std::shared_ptr<Law> inner, size_t own)
+        : Law(inner->joints(), 1 + own + inner->memory().size(), inner->needs_wrench()), inner_(std::move(inner)), own_(own) {}
+    LawAround(const LawAround& other) : Law(other), inner_(other.inner_->clone()), own_(other.own_) {}
+    LawAround& operator=(const LawAround&) = delete;
+
+    Result own_memory() { return memory(1, own_); }
+
+    // Whether this is the first tick of a run.
+    bool inner_torque(const State& state, const Setpoint& setpoint, Result tau) {
+        copy(inner_memory(), inner_->memory());
+        inner_->torque(state, setpoint, tau);
+        copy(inner_->memory(), inner_memory());
+        return std::exchange(memory()[0], 1.0) == 0.0;
+    }
+
+private:
+    Result inner_memory() { return memory().subspan(1 + own_); }
+
+    std::shared_ptr<Law> inner_;
+    size_t own_;
+};
 
 // A second-order section in direct form II transposed: y = b0 x + s0, s0 = b1 x - a1 y + s1, s1 = b2 x - a2 y.
 struct Biquad {
@@ -56,6 +91,28 @@ public:
 
 private:
     std::vector<Biquad> sections_;
+};
+
+// A limit of the rate of the torques, such as that of a robot's interface. The first torque of a run is not limited.
+class TorqueRateLimit final : public Cloneable<TorqueRateLimit, LawAround> {
+public:
+    TorqueRateLimit(const std::shared_ptr<Law>& limited, const Arguments& gains)
+        : Cloneable(limited, limited->joints()), max_change_(gains.numbers(joints(), "tau_rate_max")) {
+        const double dt = gains.number("dt");
+        for (double& change : max_change_) { change *= dt; }
+    }
+
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        const bool is_first = inner_torque(state, setpoint, tau);
+        const Result last = own_memory();
+        for (size_t i = 0; i < tau.size(); ++i) {
+            if (!is_first) { tau[i] = std::clamp(tau[i], last[i] - max_change_[i], last[i] + max_change_[i]); }
+            last[i] = tau[i];
+        }
+    }
+
+private:
+    Numbers max_change_;  // (n,) N m, in one control period
 };
 
 }  // namespace armctl
