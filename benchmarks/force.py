@@ -39,10 +39,11 @@ WITH_FINGERS = ("panda", "xarm7")
 SHIELDED = "ur5e/ur5e"
 PROBE = """<mujoco model="probe"><worldbody><body name="probe"><geom type="sphere" size="0.01" pos="0 0 0.05" mass="0.05"/>
   <site name="tip" pos="0 0 0.06"/></body></worldbody></mujoco>"""
-# By MuJoCo's time constant solref[0], s: a tenth, once and ten times the default stiffness. Springs: by their stiffness, N/m.
+# By MuJoCo's time constant solref[0], s: a tenth, once and ten times the default stiffness. Springs: by their damping ratio.
 WALLS = {"63 ms": 0.0632, "20 ms": 0.02, "6.3 ms": 0.00632}
 DEFAULT = "20 ms"
-SPRINGS = {"foam": 1e3}  # of one contact: all arms touch them with a probe, and those with fingers do not
+SPRINGS = {"foam": 1.0, "light foam": 0.3}  # of one contact: all arms touch them with a probe, and those with fingers do not
+SPRING_STIFFNESS_N_M = 1e3
 SPRING_IMPEDANCE = 0.3  # so low that the virtual mass of MuJoCo's contact is less than that of the hand
 PLANTS = {
     "ideal": armctl.Plant(timestep=TICK_S),
@@ -122,9 +123,9 @@ def at_wall(name: str, wall: str) -> Wall:
     place(arm, geom, axis, sign)
     if wall in SPRINGS:
         impedance = SPRING_IMPEDANCE
-        rate = SPRINGS[wall] * model.body_invweight0[model.body(body).id, 0] * (1 - impedance) / impedance**2
+        rate = SPRING_STIFFNESS_N_M * model.body_invweight0[model.body(body).id, 0] * (1 - impedance) / impedance**2
         model.geom_solimp[geom] = [impedance, impedance, 0.001, 0.5, 2]
-        model.geom_solref[geom] = [-rate * impedance**2, -2 * np.sqrt(rate) * impedance]
+        model.geom_solref[geom] = [-rate * impedance**2, -2 * SPRINGS[wall] * np.sqrt(rate) * impedance]
     return Wall(arm, geom, axis, sign, body)
 
 

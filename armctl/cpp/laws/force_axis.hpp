@@ -68,18 +68,18 @@ private:
 
     static constexpr double force_filter = 300.0;  // rad/s; about 3 ms against the noise of force sensors
     static constexpr double approach_rate = 40.0;  // 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
-    static constexpr double damping_rate = 30.0;   // 1/s, the damping of the tip in contact divided by its mass
+    static constexpr double damping_rate = 36.0;   // 1/s, the damping of the tip in contact divided by its mass
     static constexpr double integral_rate = 20.0;  // 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
     // 1/s. While the tip sinks into a damped wall, its damping would hold back a part of the force. So a speed that lasts, and that
     // reduces the error, is damped less and less.
-    static constexpr double steady_speed_rate = 12.0;
-    static constexpr double min_relieved_ratio = 0.2;     // of the target, what the damping is relieved of at least
+    static constexpr double steady_speed_rate = 16.0;
+    static constexpr double min_relieved_ratio = 0.25;     // of the target, what the damping is relieved of at least
     static constexpr double max_relieved_ratio = 0.9;     // and at most, where the wall itself damps the tip critically
     static constexpr double relief_rate = 30.0;           // 1/s, of the depth, a bound for the steady speed
     static constexpr double max_integrated_error = 0.08;  // of the target
     // 1/s. On foam, the error of the force of a damped tip decays at stiffness / (damping_rate mass), 3 /s for 10 kg at 1e3 N/m.
     // With more speed, it decays at this rate on a wall of the estimated stiffness.
-    static constexpr double force_rate = 20.0;
+    static constexpr double force_rate = 22.0;
     static constexpr double min_stiffness = 1000.0;    // N/m; a tip that falls into a hole takes it for a soft wall
     static constexpr double max_sinking_speed = 0.25;  // m/s
     static constexpr double first_ratio = 0.25;        // of the contact threshold, the force from which the stiffness is estimated
@@ -91,7 +91,7 @@ private:
     static constexpr double yielding_ratio = 0.1;
     // While there is less force than the contact threshold, the command is this multiple of the measured force. Above 1 it makes
     // the force grow on any wall that the slow tip touches; without contact it is zero.
-    static constexpr double detection_gain = 2.0;
+    static constexpr double detection_gain = 4.0;
     static constexpr double lost_ratio = 0.2;      // of the contact threshold; below it for max_lost_time the contact is lost
     static constexpr double max_lost_time = 0.01;  // s
 
