@@ -169,11 +169,8 @@ private:
             moment += vec3(external);
             force += vec3(external.subspan(3));
         }
-        const Rotation rotation = Rotation::from_rows(simulation_.xmat.row(tip_));
-        Vec3 lever = vec3(simulation_.xpos.row(tip_)) - vec3(simulation_.subtree_com.row(root_));
-        lever += offset_.x * rotation.x;
-        lever += offset_.y * rotation.y;
-        lever += offset_.z * rotation.z;
+        const Pose T_world_tip_body{Rotation::from_rows(simulation_.xmat.row(tip_)), vec3(simulation_.xpos.row(tip_))};
+        const Vec3 lever = T_world_tip_body * offset_ - vec3(simulation_.subtree_com.row(root_));
         moment -= cross(lever, force);
         return numbers({force, moment});
     }

@@ -138,6 +138,30 @@ def test_a_reference_outside_of_the_joint_limits_leaves_the_arm_inside(arm):
     assert np.abs(log.v[-1]).max() < 0.05
 
 
+def test_a_reference_that_leaves_the_range_for_a_while_is_followed_up_to_the_limits(arm):
+    near = arm.with_limits(replace(arm.limits, q_max=arm.home + 0.35))
+
+    class Excursion:
+        duration = 2.0
+
+        def __call__(self, t):
+            return armctl.Setpoint(*(column[0] for column in self.sample([t])[:3]))
+
+        def sample(self, times):
+            angle = np.pi * np.asarray(times)[:, None]
+            each = np.ones(arm.n)
+            q = arm.home + 0.3 * (1.0 - np.cos(angle)) * each
+            return armctl.Setpoint(q, 0.3 * np.pi * np.sin(angle) * each, 0.3 * np.pi**2 * np.cos(angle) * each)
+
+    law = armctl.MPC(near)
+    log = run(near, law, Excursion())
+    assert not log.failure
+    assert near.limits.contains(log.q, tolerance=1e-6)
+    assert law.counts.planned > 0
+    assert law.counts.unplanned == 0
+    assert np.abs(log.q - np.minimum(log.q_ref, near.limits.q_max)).max() < 0.03
+
+
 class Rush:
     """One joint moves at its largest speed to a position at its limit, and stops at once."""
 

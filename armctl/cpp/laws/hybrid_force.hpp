@@ -29,21 +29,21 @@ public:
         for (const double target : targets) {
             if (!std::isfinite(target)) { throw InputError("target: need a finite number, got " + std::to_string(target)); }
         }
+        force_axes_.clear();
+        copy(targets, targets_);
         for (size_t k = 0; k < 6; ++k) {
-            is_force_[k] = is_force[k] != 0;
-            targets_[k] = targets[k];
-            if (!is_force_[k]) { std::ranges::fill(axis_memory(k), 0.0); }
+            if (is_force[k] != 0) {
+                force_axes_.push_back(k);
+            } else {
+                std::ranges::fill(axis_memory(k), 0.0);
+            }
         }
     }
 
     // Whether every force axis with a target is in contact.
     bool in_contact() {
-        bool all = true;
-        for (size_t k = 0; k < 6; ++k) {
-            const bool is_pressing = is_force_[k] && targets_[k] != 0.0;
-            all = all && !(is_pressing && ForceAxis(axis_memory(k)).touches == 0.0);
-        }
-        return all;
+        return std::ranges::all_of(force_axes_,
+                                   [this](size_t k) { return targets_[k] == 0.0 || ForceAxis(axis_memory(k)).touches != 0.0; });
     }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
@@ -117,8 +117,7 @@ private:
     // The twist or wrench that has a command of the force axes along these, and nothing along the others.
     Vector6 along_force_axes(double AxisCommand::* command) const {
         Vector6 total{};
-        for (size_t k = 0; k < 6; ++k) {
-            if (!is_force_[k]) { continue; }
+        for (const size_t k : force_axes_) {
             for (size_t j = 0; j < 6; ++j) { total[j] += directions_[k][j] * commands_[k].*command; }
         }
         return total;
@@ -127,17 +126,10 @@ private:
     void command_axes(Vector wrench) {
         Vector6 twist{};
         for (size_t k = 0; k < 6; ++k) { twist[k] = dot(task_.J.row(k), velocity()); }
-        for (size_t k = 0; k < 6; ++k) {
-            if (!is_force_[k]) { continue; }
-            AxisTick tick = axis_tick(k);
-            tick.measured = -dot(directions_[k], wrench);  // the tip exerts the opposite of the wrench on it
-            tick.speed = dot(directions_[k], twist);
-            commands_[k] = ForceAxis(axis_memory(k)).command(tick);
-        }
+        for (const size_t k : force_axes_) { commands_[k] = ForceAxis(axis_memory(k)).command(axis_tick(k, wrench, twist)); }
     }
 
-    // Mass, approach speed and contact threshold of a force axis.
-    AxisTick axis_tick(size_t k) const {
+    AxisTick axis_tick(size_t k, Vector wrench, const Vector6& twist) const {
         // The motion of the joints at unit speed along the axis, and its inertia.
         Vector6 direction = directions_[k];
         const Result unit = controlled(direction);
@@ -158,6 +150,8 @@ private:
         }
         return {
             .target = targets_[k],
+            .measured = -dot(directions_[k], wrench),  // the tip exerts the opposite of the wrench on it
+            .speed = dot(directions_[k], twist),
             .mass = mass,
             .approach_speed = approach_speed,
             .threshold = contact_force_ > 0.0 ? contact_force_ : contact_ratio * target,
@@ -174,8 +168,7 @@ private:
             motion_[k] = bandwidth_ * bandwidth_ * task_.error[k] + 2.0 * damping_ratio_ * bandwidth_ * rate;
             correction_[k] = 0.5 * bandwidth_ * task_.error[k];
         }
-        for (size_t k = 0; k < 6; ++k) {  // the axes are orthogonal, so one after the other can be replaced
-            if (!is_force_[k]) { continue; }
+        for (const size_t k : force_axes_) {  // they are orthogonal, so one after the other can be replaced
             const double missing = commands_[k].acceleration - dot(directions_[k], motion_) - dot(directions_[k], feedforward);
             const double missing_speed = commands_[k].speed - dot(directions_[k], correction_);
             for (size_t j = 0; j < 6; ++j) {
@@ -195,8 +188,7 @@ private:
             if (!in_contact) { filtered[j] = 0.0; }
             compensated[j] = filtered[j];
         }
-        for (size_t k = 0; k < 6; ++k) {
-            if (!is_force_[k]) { continue; }
+        for (const size_t k : force_axes_) {
             const double part = dot(directions_[k], filtered);
             for (size_t j = 0; j < 6; ++j) { compensated[j] -= part * directions_[k][j]; }
         }
@@ -208,7 +200,7 @@ private:
     bool in_tip_frame_;               // whether the axes turn with the tip
     double approach_speed_;           // m/s; 0 for one that follows from target and effective mass
     double contact_force_;            // N; 0 for one that follows from the target
-    std::array<bool, 6> is_force_{};  // x, y, z, rx, ry, rz
+    std::vector<size_t> force_axes_;  // 0 to 5 for x, y, z, rx, ry, rz
     Vector6 targets_{};               // N or N m
     double dt_;
     TaskSpace task_;
