@@ -24,17 +24,14 @@ struct Roots {
 // A cosine up to 1 + slack counts as 1. If every angle is a solution, the preferred one is returned.
 Roots linear_roots(double a, double b, double d, double slack, double preferred) {
     const double radius = std::sqrt(a * a + b * b);
-    if (radius < TINY) { return {.angles = {preferred, preferred}, .count = std::abs(d) <= TINY + slack ? 1u : 0u, .doubtful = true}; }
+    if (radius < TINY) { return {.angles = {preferred}, .count = std::abs(d) <= TINY + slack ? 1u : 0u, .doubtful = true}; }
     const double cos = d / radius;
+    const double size = std::abs(cos);
     const double middle = std::atan2(b, a);
-    const bool doubtful = std::abs(cos) > 1.0 - NEAR_DOUBLE_ROOT && std::abs(cos) <= 1.0 + std::max(slack, NEAR_DOUBLE_ROOT);
-    if (std::abs(cos) > 1.0) {
-        if (std::abs(cos) > 1.0 + slack) { return {.angles = {middle, middle}, .count = 0, .doubtful = doubtful}; }
-        const double angle = cos > 0 ? middle : middle + std::numbers::pi;
-        return {.angles = {angle, angle}, .count = 1, .doubtful = true};
-    }
+    if (size > 1.0 + slack) { return {.doubtful = size <= 1.0 + NEAR_DOUBLE_ROOT}; }
+    if (size > 1.0) { return {.angles = {cos > 0 ? middle : middle + std::numbers::pi}, .count = 1, .doubtful = true}; }
     const double half = std::acos(cos);
-    return {.angles = {middle + half, middle - half}, .count = 2, .doubtful = doubtful};
+    return {.angles = {middle + half, middle - half}, .count = 2, .doubtful = size > 1.0 - NEAR_DOUBLE_ROOT};
 }
 
 using Triple = std::array<double, 3>;
@@ -76,6 +73,13 @@ Pose motion(const Line& line, double angle) {
     return {turn, line.point - turn * line.point};
 }
 
+// A B^-1
+Pose over(const Pose& A, const Pose& B) {
+    const Rotation& R = B.rotation;
+    const Rotation turn = {A.rotation * R.row_x(), A.rotation * R.row_y(), A.rotation * R.row_z()};
+    return {turn, A.translation - turn * B.translation};
+}
+
 // A line as another frame sees it.
 Line seen_from(const Pose& X, const Line& line) {
     return {X.rotation.inverse_times(line.axis), X.rotation.inverse_times(line.point - X.translation)};
@@ -83,8 +87,8 @@ Line seen_from(const Pose& X, const Line& line) {
 
 // The angle about an axis from a to b; it is undetermined if one of them is on the axis.
 struct Angle {
-    double value;
-    bool undetermined;
+    double value = 0.0;
+    bool undetermined = false;
 };
 
 Angle angle_between(Vec3 axis, Vec3 a, Vec3 b, double preferred) {
@@ -94,29 +98,43 @@ Angle angle_between(Vec3 axis, Vec3 a, Vec3 b, double preferred) {
     return {std::atan2(dot(axis, cross(u, v)), dot(u, v)), false};
 }
 
+// Where a line moves a point: centre + u cos t + v sin t.
+class Circle {
+public:
+    Circle(const Line& line, Vec3 start)
+        : centre_(line.point + dot(line.axis, start - line.point) * line.axis), u_(start - centre_), v_(cross(line.axis, u_)) {}
+
+    Vec3 at(double angle) const { return centre_ + (std::cos(angle) * u_ + std::sin(angle) * v_); }
+
+    // The angles at which the point is as high along an axis as the goal.
+    Roots at_height_of(Vec3 goal, Vec3 axis, double slack, double preferred) const {
+        return linear_roots(dot(axis, u_), dot(axis, v_), dot(axis, goal - centre_), slack, preferred);
+    }
+
+    // The angles at which it is as far from a point as the goal.
+    Roots at_distance_of(Vec3 goal, Vec3 from, double slack, double preferred) const {
+        const Vec3 away = goal - from;
+        const Vec3 out = centre_ - from;
+        return linear_roots(dot(out, u_), dot(out, v_), 0.5 * (dot(away, away) - dot(out, out) - dot(u_, u_)), slack, preferred);
+    }
+
+private:
+    Vec3 centre_;
+    Vec3 u_;
+    Vec3 v_;
+};
+
 // E_1 E_2 x = goal, for two lines that meet or are parallel. Where all angles are solutions, they are the preferred ones.
 PairAngles pair_angles(const Line& first, const Line& second, AxesRelation relation, Vec3 x, Vec3 goal, double slack,
                        std::array<double, 2> preferred) {
     const auto& [f1, p1] = first;
-    const auto& [f2, p2] = second;
-    const bool is_parallel = relation == AxesRelation::parallel;
-    // Where the axes are parallel, the heights along them remain; where they meet, the distance from their point.
-    const Vec3 r = is_parallel ? across(f1, x - p2) : x - p2;
-    const Vec3 end = is_parallel ? across(f1, goal - p1) : goal - p1;
-    const Vec3 w = across(f1, p2 - p1);
-    Roots angles2;
-    if (is_parallel) {
-        const double square = 0.5 * (dot(end, end) - dot(w, w) - dot(r, r));
-        angles2 = linear_roots(dot(w, r), dot(w, cross(f2, r)), square, slack, preferred[1]);
-    } else {
-        const double height = dot(f1, end) - dot(f1, f2) * dot(f2, r);
-        angles2 = linear_roots(dot(f1, across(f2, r)), dot(f1, cross(f2, r)), height, slack, preferred[1]);
-    }
+    const Circle circle(second, x);
+    // Line 1 keeps the height along it, and the distance from it; where the lines are parallel, line 2 keeps the height too.
+    const Roots angles2 = relation == AxesRelation::meet ? circle.at_height_of(goal, f1, slack, preferred[1])
+                                                         : circle.at_distance_of(goal, p1 + dot(f1, goal - p1) * f1, slack, preferred[1]);
     PairAngles pair{.doubtful = angles2.doubtful};
     for (size_t k = 0; k < angles2.count; ++k) {
-        const Turn turn(angles2.angles[k]);
-        const Vec3 arm = (is_parallel ? w : p2 - p1) + turned(f2, turn, r);
-        const Angle angle1 = angle_between(f1, arm, end, preferred[0]);
+        const Angle angle1 = angle_between(f1, circle.at(angles2.angles[k]) - p1, goal - p1, preferred[0]);
         pair.doubtful = pair.doubtful || angle1.undetermined;
         pair.add({angle1.value, angles2.angles[k]});
     }
@@ -127,25 +145,13 @@ PairAngles pair_angles(const Line& first, const Line& second, AxesRelation relat
 LoopAngles point_angles(const std::array<Line, 3>& lines, Vec3 start, Vec3 goal, AxesRelation relation, double slack,
                         const Triple& preferred) {
     const auto& [f1, p1] = lines[0];
-    const auto& [f3, p3] = lines[2];
-    // Axis 3 moves the point on a circle, centre + u cos t + v sin t, to where axes 2 and 1 can turn it to the goal.
-    const Vec3 centre = p3 + dot(f3, start - p3) * f3;
-    const Vec3 u = start - centre;
-    const Vec3 v = cross(f3, u);
-    Roots last;
-    if (relation == AxesRelation::meet) {
-        const Vec3 to_goal = goal - p1;
-        const Vec3 out = centre - p1;
-        const double square = 0.5 * (dot(to_goal, to_goal) - dot(out, out) - dot(u, u));
-        last = linear_roots(dot(out, u), dot(out, v), square, slack, preferred[2]);
-    } else {
-        const double height = dot(f1, goal) - dot(f1, centre);
-        last = linear_roots(dot(f1, u), dot(f1, v), height, slack, preferred[2]);
-    }
+    // Line 3 moves the point to where lines 2 and 1 can turn it to the goal.
+    const Circle circle(lines[2], start);
+    const Roots last = relation == AxesRelation::meet ? circle.at_distance_of(goal, p1, slack, preferred[2])
+                                                      : circle.at_height_of(goal, f1, slack, preferred[2]);
     LoopAngles loop{.doubtful = last.doubtful};
     for (size_t i = 0; i < last.count; ++i) {
-        const Turn turn(last.angles[i]);
-        const Vec3 x = centre + (turn.cos * u + turn.sin * v);
+        const Vec3 x = circle.at(last.angles[i]);
         const PairAngles pair = pair_angles(lines[0], lines[1], relation, x, goal, slack, {preferred[0], preferred[1]});
         loop.doubtful = loop.doubtful || pair.doubtful;
         for (size_t k = 0; k < pair.count; ++k) { loop.add({pair.angles[k][0], pair.angles[k][1], last.angles[i]}); }
@@ -202,33 +208,27 @@ LoopAngles plane_angles(const std::array<Line, 3>& lines, Vec3 h, Vec3 u, double
     return loop;
 }
 
-// The special joints whose axes meet, from where E_a E_b E_c brings the axes b and c.
-SpecialAngles meeting_angles(std::span<const Line, 3> lines, Vec3 moved_b, Vec3 moved_c, const Triple& preferred, double slack) {
-    const Line a{lines[0].axis, {}};
-    const Line b{lines[1].axis, {}};
-    const Vec3 c = lines[2].axis;
-    const PairAngles pair = pair_angles(a, b, AxesRelation::meet, c, moved_c, slack, {preferred[0], preferred[1]});
-    SpecialAngles special{.doubtful = pair.doubtful};
+// The special joints, from their motion E_a E_b E_c.
+SpecialAngles special_angles(std::span<const Line, 3> lines, AxesRelation relation, const Pose& moved, const Triple& preferred,
+                             double slack) {
+    const auto& [a, b, c] = std::array{lines[0], lines[1], lines[2]};
+    const bool do_meet = relation == AxesRelation::meet;
+    // E_c leaves a point of its axis where it is, and turns a direction across its axis.
+    const Vec3 x = do_meet ? c.point + c.axis : c.point;
+    const Vec3 u = do_meet ? b.axis : b.point - a.point;
+    const Vec3 moved_u = moved.rotation * u;
+    const Angle sum = do_meet ? Angle{} : angle_between(a.axis, u, moved_u, 0.0);  // of the angles about parallel axes
+    const PairAngles pair = pair_angles(a, b, relation, x, moved * x, slack, {preferred[0], preferred[1]});
+    SpecialAngles special{.doubtful = sum.undetermined || pair.doubtful};
     for (size_t k = 0; k < pair.count; ++k) {
         const auto [first, middle] = pair.angles[k];
-        const Vec3 back = turned(b.axis, Turn(-middle), turned(a.axis, Turn(-first), moved_b));
-        // Where the third angle is undetermined, the middle one is doubtful already.
-        special.add({first, middle, angle_between(c, b.axis, back, preferred[2]).value});
-    }
-    return special;
-}
-
-// The special joints whose axes are parallel, from where E_a E_b E_c brings the point of c and the direction w from a to b.
-SpecialAngles parallel_angles(std::span<const Line, 3> lines, Vec3 moved_point, Vec3 w, Vec3 moved_w, const Triple& preferred,
-                              double slack) {
-    const Vec3 a = lines[0].axis;
-    const Angle whole = angle_between(a, w, moved_w, 0.0);
-    const PairAngles pair =
-        pair_angles(lines[0], lines[1], AxesRelation::parallel, lines[2].point, moved_point, slack, {preferred[0], preferred[1]});
-    SpecialAngles special{.doubtful = whole.undetermined || pair.doubtful};
-    for (size_t k = 0; k < pair.count; ++k) {
-        const auto [first, middle] = pair.angles[k];
-        special.add({first, middle, dot(a, lines[2].axis) * (whole.value - first - dot(a, lines[1].axis) * middle)});
+        double last = dot(a.axis, c.axis) * (sum.value - first - dot(a.axis, b.axis) * middle);
+        if (do_meet) {
+            const Vec3 back = turned(b.axis, Turn(-middle), turned(a.axis, Turn(-first), moved_u));
+            // Where the last angle is undetermined, the middle one is doubtful already.
+            last = angle_between(c.axis, u, back, preferred[2]).value;
+        }
+        special.add({first, middle, last});
     }
     return special;
 }
@@ -279,17 +279,9 @@ SixAngles SixHinges::solve(const Pose& X, const std::array<double, 6>& preferred
     SixAngles six{.doubtful = three.doubtful};
     for (size_t i = 0; i < three.count; ++i) {
         const auto [f, g, h] = three.angles[i];
-        const Pose fgh = motion(loop[0], f) * motion(loop[1], g) * motion(loop[2], h);
-        // E_a E_b E_c of the special joints, which is X (E_f E_g E_h)^-1, applied to a direction and to a point.
-        const auto directed = [&](Vec3 a) { return X.rotation * fgh.rotation.inverse_times(a); };
-        const auto placed = [&](Vec3 a) { return X * fgh.rotation.inverse_times(a - fgh.translation); };
-        SpecialAngles found;
-        if (special.relation == AxesRelation::meet) {
-            found = meeting_angles(axes, directed(axes[1].axis), directed(axes[2].axis), preferred_special, slack);
-        } else {
-            const Vec3 w = across(axes[0].axis, axes[1].point - axes[0].point);
-            found = parallel_angles(axes, placed(axes[2].point), w, directed(w), preferred_special, slack);
-        }
+        // E_a E_b E_c of the special joints, which is X (E_f E_g E_h)^-1.
+        const Pose special_motion = over(X, motion(loop[0], f) * motion(loop[1], g) * motion(loop[2], h));
+        const SpecialAngles found = special_angles(axes, special.relation, special_motion, preferred_special, slack);
         six.doubtful = six.doubtful || found.doubtful;
         for (size_t k = 0; k < found.count; ++k) {
             std::array<double, 6> angles{};
@@ -330,44 +322,26 @@ ClosedForm::ClosedForm(std::shared_ptr<const Chain> chain, const Arguments& argu
     checked_index(static_cast<std::int64_t>(with_held(*chain_->special_axes(), zero_, 0.0).first), 4, "first");
 }
 
-// Writes a configuration with the hinges turned inside their bounds; returns whether it is inside.
-bool ClosedForm::store(const std::array<double, 6>& angles, double held_angle, Vector q0, double margin, Result seed) const {
-    bool inside = true;
-    size_t row = 0;
-    for (size_t k = 0; k < seed.size(); ++k) {
-        if (zero_.held == k) {
-            seed[k] = held_angle;
-            continue;
-        }
-        const Unknown& unknown = chain_->unknowns()[k];
-        const Bounds bounds{unknown.bounds.low - margin, unknown.bounds.high + margin};
-        seed[k] = wound(angles[row], q0[k], bounds, unknown.period);
-        inside = inside && bounds.contain(seed[k]);
-        ++row;
-    }
-    return inside;
-}
-
 Seeds ClosedForm::find(const Pose& target, Vector q0, double slack, double margin, const Sweep& sweep, MatrixResult seeds) const {
     std::array<double, 6> preferred{};
-    for (size_t k = 0; k < preferred.size(); ++k) { preferred[k] = q0[zero_.held && k >= *zero_.held ? k + 1 : k]; }
+    const auto joint = [this](size_t k) { return zero_.held && k >= *zero_.held ? k + 1 : k; };  // of the six
+    for (size_t k = 0; k < 6; ++k) { preferred[k] = q0[joint(k)]; }
     const Vec3 p = target.translation;
     const double reach = chain_->reach();
-    const Vec3 goal{p.x / reach, p.y / reach, p.z / reach};
+    const Pose goal{target.rotation, {p.x / reach, p.y / reach, p.z / reach}};
     Seeds found;
     for (const double angle : sweep.positions) {
         if (found.samples >= sweep.least && found.count >= sweep.wanted) { break; }
         const SixHinges six = with_held(*chain_->special_axes(), zero_, angle);
-        const Rotation& tip = six.tip.rotation;
-        Pose X;  // the target's pose times the inverse of the tip's
-        X.rotation = {target.rotation * tip.row_x(), target.rotation * tip.row_y(), target.rotation * tip.row_z()};
-        X.translation = goal - X.rotation * six.tip.translation;
-        const SixAngles solved = six.solve(X, preferred, slack);
+        const SixAngles solved = six.solve(over(goal, six.tip), preferred, slack);
         found.doubtful = found.doubtful || solved.doubtful;
         ++found.samples;
         for (size_t i = 0; i < solved.count; ++i) {
             if (found.count == static_cast<std::int64_t>(seeds.rows)) { return found; }
-            if (store(solved.angles[i], angle, q0, margin, seeds.row(static_cast<size_t>(found.count)))) { ++found.count; }
+            const Result seed = seeds.row(static_cast<size_t>(found.count));
+            for (size_t k = 0; k < 6; ++k) { seed[joint(k)] = solved.angles[i][k]; }
+            if (zero_.held) { seed[*zero_.held] = angle; }
+            if (chain_->wind_inside(q0, margin, seed)) { ++found.count; }
         }
     }
     return found;

@@ -65,8 +65,6 @@ public:
     Seeds find(const Pose& target, Vector q0, double slack, double margin, const Sweep& sweep, MatrixResult seeds) const;
 
 private:
-    bool store(const std::array<double, 6>& angles, double held_angle, Vector q0, double margin, Result seed) const;
-
     std::shared_ptr<const Chain> chain_;
     ZeroConfiguration zero_;
 };
