@@ -420,22 +420,6 @@ class Chain:
         Descends from each q (B, n) to a solution for a target (12,), without regard to the bounds of hinges.
         """
 
-    def polish(
-        self,
-        target: numpy.ndarray,
-        position_tolerance: float,
-        orientation_tolerance: float,
-        q0: numpy.ndarray,
-        seeds: numpy.ndarray,
-        q: numpy.ndarray,
-        position_errors: numpy.ndarray,
-        orientation_errors: numpy.ndarray,
-        branches: numpy.ndarray,
-    ) -> Solutions:
-        """
-        Refines the seeds (M, n) of a pose (12,) and keeps those that are solutions inside the bounds, nearest first.
-        """
-
     def branches(self, q: numpy.ndarray, branches: numpy.ndarray) -> None:
         """Fills branches (N,) with the numbers of those of q (N, n)."""
 
