@@ -449,10 +449,8 @@ class ClosedForm:
     The closed form of six hinges; armctl/cpp/closed_form.hpp explains it. Immutable.
     """
 
-    def __init__(self, chain: Chain, **arguments) -> None:
-        """
-        From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.
-        """
+    def __init__(self, chain: Chain, held: int | None) -> None:
+        """Of a chain with special axes; of seven hinges, one is held."""
 
     def solve_all(
         self,

@@ -3,7 +3,7 @@
 #include <numbers>
 #include <utility>
 
-#include "errors.hpp"
+#include "chain_kinematics.hpp"
 
 namespace armctl {
 
@@ -309,16 +309,16 @@ SixHinges with_held(const SpecialAxes& special, const ZeroConfiguration& zero, d
 
 }  // namespace
 
-ClosedForm::ClosedForm(std::shared_ptr<const Chain> chain, const Arguments& arguments) : chain_(std::move(chain)) {
-    if (arguments.has("held")) { zero_.held = arguments.count("held"); }
-    const size_t n = zero_.held ? 7 : 6;
-    if (!chain_->special_axes() || chain_->n() != n || zero_.held.value_or(0) >= n) {
-        throw InputError("axes: expected special axes of six hinges, or of seven with one that is held");
+ClosedForm::ClosedForm(std::shared_ptr<const Chain> chain, std::optional<size_t> held) : chain_(std::move(chain)) {
+    const size_t n = held ? 7 : 6;
+    if (!chain_->special_axes() || chain_->joints().size() != n || chain_->n() != n || held.value_or(0) >= n) {
+        throw InputError("chain: expected special axes of six hinges, or of seven with one that is held");
     }
-    const Matrix axes = arguments.matrix(n, 3, "axes");
-    const Matrix points = arguments.matrix(n, 3, "points");
-    for (size_t k = 0; k < n; ++k) { zero_.lines.push_back({vec3(axes.row(k)), vec3(points.row(k))}); }
-    zero_.tip = {Rotation::from_rows(arguments.shaped({3, 3}, "tip_rotation")), vec3(arguments.vector(3, "tip_translation"))};
+    ChainKinematics kinematics(*chain_);
+    kinematics.place(Numbers(n));
+    zero_.held = held;
+    zero_.tip = kinematics.tip();
+    for (size_t k = 0; k < n; ++k) { zero_.lines.push_back({kinematics.joints()[k].axis, kinematics.special_point(k)}); }
     checked_index(static_cast<std::int64_t>(with_held(*chain_->special_axes(), zero_, 0.0).first), 4, "first");
 }
 

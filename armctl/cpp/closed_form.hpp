@@ -54,9 +54,8 @@ struct Seeds {
 // Immutable after its construction: threads share it.
 class ClosedForm {
 public:
-    // Of a chain with special axes and six hinges, or seven of which one is `held`. Their `axes` and `points` (n, 3) and the tip are
-    // those of the zero configuration; where special axes meet, the common point is that of each.
-    ClosedForm(std::shared_ptr<const Chain> chain, const Arguments& arguments);
+    // Of a chain with special axes and six hinges, or seven of which one is `held`.
+    ClosedForm(std::shared_ptr<const Chain> chain, std::optional<size_t> held);
 
     const Chain& chain() const { return *chain_; }
 

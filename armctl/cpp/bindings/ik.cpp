@@ -1,6 +1,7 @@
 // Inverse kinematics: the chain of an arm, searches on it, and its closed form.
 //
 // Calls have their own scratch memory and run without the GIL.
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 
 #include "arguments.hpp"
@@ -162,15 +163,10 @@ double linearize(ErrorModel& model, const In& target, Constraint constraint, dou
     for (size_t i = 0; i < n; ++i) {
         descent[i] = model.gradient(i);
         for (size_t k = 0; k < n; ++k) { H(i, k) = model.hessian(i, k); }
-        const auto [linear, angular] = model.kinematics().jacobian()[i];
-        const double column[6] = {linear.x, linear.y, linear.z, angular.x, angular.y, angular.z};
+        const std::array<double, 6> column = numbers(model.kinematics().jacobian()[i]);
         for (size_t row = 0; row < 6; ++row) { jacobian(row, i) = column[row]; }
     }
     return model.size();
-}
-
-std::shared_ptr<ClosedForm> make_closed_form(std::shared_ptr<const Chain> chain, const nb::kwargs& arguments) {
-    return std::make_shared<ClosedForm>(std::move(chain), Arguments(arguments));
 }
 
 Solutions solve_with_closed_form(const ClosedForm& closed_form, const In& target, const In& q0, double position_tolerance,
@@ -239,8 +235,8 @@ void bind_ik(nb::module_& module) {
              "Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach\n"
              "counts like a rad. Returns the norm of the error.");
     nb::class_<ClosedForm>(module, "ClosedForm", "The closed form of six hinges; armctl/cpp/closed_form.hpp explains it. Immutable.")
-        .def(nb::new_(&make_closed_form), "chain"_a, "arguments"_a,
-             "From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.")
+        .def(nb::init<std::shared_ptr<const Chain>, std::optional<size_t>>(), "chain"_a, "held"_a.none(),
+             "Of a chain with special axes; of seven hinges, one is held.")
         .def("solve_all", &solve_with_closed_form, "target"_a, "q0"_a, "position_tolerance"_a, "orientation_tolerance"_a, "slack"_a,
              "margin"_a, "positions"_a, "least"_a, "wanted"_a, "q"_a, "position_errors"_a, "orientation_errors"_a, "branches"_a, Release(),
              "Fills q (M, n), errors and branches (M,) with the solutions for a target (4, 3), refined, the nearest to q0 first.")
