@@ -415,22 +415,6 @@ class Chain:
         Descends from each q (B, n) to a solution for a target (12,), without regard to the bounds of hinges.
         """
 
-    def polish(
-        self,
-        target: numpy.ndarray,
-        position_tolerance: float,
-        orientation_tolerance: float,
-        q0: numpy.ndarray,
-        seeds: numpy.ndarray,
-        q: numpy.ndarray,
-        position_errors: numpy.ndarray,
-        orientation_errors: numpy.ndarray,
-        branches: numpy.ndarray,
-    ) -> Solutions:
-        """
-        Refines the seeds (M, n) of a pose (12,) and keeps those that are solutions inside the bounds, nearest first.
-        """
-
     def branches(self, q: numpy.ndarray, branches: numpy.ndarray) -> None:
         """Fills branches (N,) with the numbers of those of q (N, n)."""
 
@@ -460,10 +444,8 @@ class ClosedForm:
     The closed form of six hinges; armctl/cpp/closed_form.hpp explains it. Immutable.
     """
 
-    def __init__(self, chain: Chain, **arguments) -> None:
-        """
-        From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.
-        """
+    def __init__(self, chain: Chain, held: int | None) -> None:
+        """Of a chain with special axes; of seven hinges, one is held."""
 
     def solve_all(
         self,

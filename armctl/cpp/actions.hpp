@@ -39,7 +39,7 @@ struct ActionOptions {
         }
     }
 
-    const Arguments& given;
+    const Arguments& given;  // it exists while this object is made
     ActionMode mode = static_cast<ActionMode>(given.integer("mode"));
     std::vector<ActionLimits> limits;
     size_t size = given.count("size");                 // numbers of an action

@@ -63,6 +63,15 @@ inline AxesRelation relation_of(const Arguments& arguments, const char* name) {
     return static_cast<AxesRelation>(checked_index(arguments.integer(name), 2, name));
 }
 
+// A position turned by whole turns of a period, if it has one, to that nearest to `near` inside bounds, if there is one.
+inline double wound(double position, double near, Bounds bounds, double period) {
+    if (!(period > 0)) { return position; }
+    position += period * std::nearbyint((near - position) / period);
+    if (position > bounds.high) { position -= period * std::ceil((position - bounds.high) / period); }
+    if (position < bounds.low) { position += period * std::ceil((bounds.low - position) / period); }
+    return position;
+}
+
 // Immutable after its construction: threads share it.
 class Chain {
 public:
@@ -108,6 +117,23 @@ public:
         return true;
     }
 
+    // Turns the hinges by whole turns to the positions nearest to q0 inside bounds that are wider by a margin. Returns whether q is
+    // inside then.
+    bool wind_inside(Vector q0, double margin, Result q) const {
+        bool is_inside = true;
+        for (size_t i = 0; i < q.size(); ++i) {
+            const Bounds wide{unknowns_[i].bounds.low - margin, unknowns_[i].bounds.high + margin};
+            q[i] = wound(q[i], q0[i], wide, unknowns_[i].period);
+            is_inside = is_inside && wide.contain(q[i]);
+        }
+        return is_inside;
+    }
+
+    // Moves unknowns outside their bounds to the bounds.
+    void clamp(Result q) const {
+        for (size_t i = 0; i < q.size(); ++i) { q[i] = unknowns_[i].bounds.clamp(q[i]); }
+    }
+
     size_t n() const { return unknowns_.size(); }
     bool has_followers() const { return joints_.size() > unknowns_.size(); }
     const std::vector<ChainJoint>& joints() const { return joints_; }
@@ -126,15 +152,6 @@ private:
     double reach_;
     std::optional<SpecialAxes> special_axes_;
 };
-
-// A position turned by whole turns of a period, if it has one, to that nearest to `near` inside bounds, if there is one.
-inline double wound(double position, double near, Bounds bounds, double period) {
-    if (!(period > 0)) { return position; }
-    position += period * std::nearbyint((near - position) / period);
-    if (position > bounds.high) { position -= period * std::ceil((position - bounds.high) / period); }
-    if (position < bounds.low) { position += period * std::ceil((bounds.low - position) / period); }
-    return position;
-}
 
 // A column of a rotation: the frame's x, y or z axis.
 inline const Vec3& axis_of(const Rotation& rotation, int k) {

@@ -121,6 +121,8 @@ public:
     }
 
     const std::vector<JointLine>& joints() const { return lines_; }
+    // On the axis of a joint, the point in which it meets others.
+    Vec3 special_point(size_t j) const { return lines_[j].origin + chain_->joints()[j].distance_to_point * lines_[j].axis; }
     const Pose& tip() const { return tip_; }
     // The tip with its position in m.
     Pose metric_tip() const { return {tip_.rotation, chain_->reach() * tip_.translation}; }
@@ -144,8 +146,6 @@ private:
         if (chain_->joints()[j].slides) { return {line.axis, {}}; }
         return {cross(line.axis, tip_.translation - line.origin), line.axis};
     }
-
-    Vec3 special_point(size_t j) const { return lines_[j].origin + chain_->joints()[j].distance_to_point * lines_[j].axis; }
 
     const Chain* chain_;
     std::vector<JointLine> lines_;  // (k,)

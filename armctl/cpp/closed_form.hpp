@@ -54,9 +54,8 @@ struct Seeds {
 // Immutable after its construction: threads share it.
 class ClosedForm {
 public:
-    // Of a chain with special axes and six hinges, or seven of which one is `held`. Their `axes` and `points` (n, 3) and the tip are
-    // those of the zero configuration; where special axes meet, the common point is that of each.
-    ClosedForm(std::shared_ptr<const Chain> chain, const Arguments& arguments);
+    // Of a chain with special axes and six hinges, or seven of which one is `held`.
+    ClosedForm(std::shared_ptr<const Chain> chain, std::optional<size_t> held);
 
     const Chain& chain() const { return *chain_; }
 
@@ -65,8 +64,6 @@ public:
     Seeds find(const Pose& target, Vector q0, double slack, double margin, const Sweep& sweep, MatrixResult seeds) const;
 
 private:
-    bool store(const std::array<double, 6>& angles, double held_angle, Vector q0, double margin, Result seed) const;
-
     std::shared_ptr<const Chain> chain_;
     ZeroConfiguration zero_;
 };

@@ -86,20 +86,18 @@ public:
     std::vector<Vec3> directions;  // in which the depth of an overlap is measured first
 
 private:
-    void add_frames(const Arguments& arguments) {
+    void add_frames(const Arguments& given) {
         const size_t m = ratio_.rows();
-        const Matrix axes = arguments.matrix(m, 3, "axes");
-        const Matrix anchors = arguments.matrix(m, 3, "anchors");
-        const Integers slides = arguments.integers(m, "slides");
-        const Vector references = arguments.vector(m, "references");
-        const Integers parents = arguments.integers(m, "parents");
-        const Integers rows = arguments.integers(m, "joints");  // of the ratio
-        frames.resize(m + 1);
+        frames.resize(1);
         for (size_t i = 0; i < m; ++i) {
-            MovingFrame& frame = frames[i + 1];
-            frame = {vec3(axes.row(i)), vec3(anchors.row(i)), slides[i] != 0, references[i]};
-            frame.parent = checked_index(parents[i], i + 1, "parents");
-            frame.joint = checked_index(rows[i], m, "joints");
+            frames.push_back({
+                .axis = vec3(given.matrix(m, 3, "axes").row(i)),
+                .anchor = vec3(given.matrix(m, 3, "anchors").row(i)),
+                .slides = given.integers(m, "slides")[i] != 0,
+                .reference = given.vector(m, "references")[i],
+                .parent = checked_index(given.integers(m, "parents")[i], i + 1, "parents"),
+                .joint = checked_index(given.integers(m, "joints")[i], m, "joints"),  // its row of the ratio
+            });
         }
     }
 
@@ -114,28 +112,22 @@ private:
         }
     }
 
-    void add_geoms(const Arguments& arguments) {
-        const size_t count = arguments.length("kinds");
-        const std::vector<size_t> starts = checked_starts(arguments, "first_vertex", count, vertices.positions.size());
-        const Integers kinds = arguments.integers(count, "kinds");
-        const Integers rows = arguments.integers(count, "frames");
-        const Vector inflations = arguments.vector(count, "inflations");  // radii of spheres and capsules
-        const Matrix positions = arguments.matrix(count, 3, "positions");
-        const Matrix rotations{arguments.shaped({count, 3, 3}, "rotations").data(), count, 9};
-        const Matrix sizes = arguments.matrix(count, 3, "sizes");
-        const Matrix centers = arguments.matrix(count, 3, "centers");  // of bounding spheres
-        const Vector radii = arguments.vector(count, "radii");
-        for (size_t g = 0; g < count; ++g) {
-            Geom geom{static_cast<ShapeKind>(checked_index(kinds[g], 5, "kinds")),
-                      checked_index(rows[g], frames.size(), "frames"),
-                      inflations[g],
-                      vec3(positions.row(g)),
-                      Rotation::from_rows(rotations.row(g)),
-                      vec3(sizes.row(g)),
-                      vec3(centers.row(g)),
-                      radii[g],
-                      starts[g],
-                      starts[g + 1]};
+    void add_geoms(const Arguments& given) {
+        const size_t G = given.length("kinds");
+        const std::vector<size_t> starts = checked_starts(given, "first_vertex", G, vertices.positions.size());
+        for (size_t g = 0; g < G; ++g) {
+            Geom geom{
+                .kind = static_cast<ShapeKind>(checked_index(given.integers(G, "kinds")[g], 5, "kinds")),
+                .frame = checked_index(given.integers(G, "frames")[g], frames.size(), "frames"),
+                .inflation = given.vector(G, "inflations")[g],
+                .position = vec3(given.matrix(G, 3, "positions").row(g)),
+                .axes = Rotation::from_rows(given.shaped({G, 3, 3}, "rotations").subspan(9 * g, 9)),
+                .size = vec3(given.matrix(G, 3, "sizes").row(g)),
+                .center = vec3(given.matrix(G, 3, "centers").row(g)),
+                .radius = given.vector(G, "radii")[g],
+                .first_vertex = starts[g],
+                .last_vertex = starts[g + 1],
+            };
             geom.semi_axes = {geom.size.x * geom.axes.x, geom.size.y * geom.axes.y, geom.size.z * geom.axes.z};
             geom.offset = dot(geom.normal(), geom.position);
             if (geom.has_vertices() && geom.first_vertex == geom.last_vertex) { throw InputError("first_vertex: a hull without vertices"); }

@@ -15,7 +15,7 @@ enum class ShapeKind : std::int64_t { hull, box, cylinder, ellipsoid, plane };
 struct Geom {
     ShapeKind kind = ShapeKind::hull;
     size_t frame = 0;
-    double inflation = 0.0;  // m
+    double inflation = 0.0;  // m, the radius of a sphere or a capsule
     Vec3 position;
     Rotation axes;
     Vec3 size;    // half sizes of a box or an ellipsoid; radius and half length of a cylinder

@@ -20,7 +20,7 @@ struct GripperActuator {
 
 // The numbers of all copies, which belong to the caller. A step writes all but the action and the noise.
 struct EnvironmentArrays {
-    const Arguments& given;
+    const Arguments& given;  // it exists while this object is made
     size_t n;
     size_t ticks;
     size_t action_size;                                                // with the gripper's number
@@ -63,6 +63,9 @@ public:
             restart(row, 0);
         }
     }
+
+    EnvironmentRows(const EnvironmentRows&) = delete;
+    EnvironmentRows& operator=(const EnvironmentRows&) = delete;
 
     size_t joints() const { return motors_.size(); }
     size_t action_size() const { return options_.size; }

@@ -125,7 +125,7 @@ public:
                 std::ranges::copy(trial_, q.begin());
             }
         }
-        unwind(q0, q);
+        chain().wind_inside(q0, 0.0, q);
         double farthest = 0.0;
         for (size_t i = 0; i < q.size(); ++i) { farthest = std::max(farthest, std::abs(q[i] - q0[i])); }
         outcome.jumped = began_near && farthest > JUMP_RAD;
@@ -242,14 +242,6 @@ private:
             const auto& [bounds, free_bounds, one_turn, period] = chain().unknowns()[i];
             const double middle = 0.5 * (bounds.low + bounds.high);
             q[i] = bounds.clamp(std::isfinite(middle) ? wound(q[i], middle, free_bounds, period) : q[i]);
-        }
-    }
-
-    // Adds or removes whole turns of the hinges if that is nearer to q0 and inside the bounds.
-    void unwind(Vector q0, Result q) const {
-        for (size_t i = 0; i < q.size(); ++i) {
-            const Unknown& unknown = chain().unknowns()[i];
-            q[i] = wound(q[i], q0[i], unknown.bounds, unknown.period);
         }
     }
 

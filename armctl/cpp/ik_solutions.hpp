@@ -21,20 +21,6 @@ inline bool is_same(const Chain& chain, Vector a, Vector b) {
     return true;
 }
 
-// Turns the hinges by whole turns to the positions nearest to q0 inside the bounds; returns whether q is inside then.
-//
-// What is outside by rounding is moved to the bounds.
-inline bool wind_inside(const Chain& chain, Vector q0, Result q) {
-    for (size_t i = 0; i < q.size(); ++i) {
-        const auto& [bounds, free_bounds, one_turn, period] = chain.unknowns()[i];
-        const Bounds wide{bounds.low - LIMIT_ROUNDING, bounds.high + LIMIT_ROUNDING};
-        q[i] = wound(q[i], q0[i], wide, period);
-        if (!wide.contain(q[i])) { return false; }
-        q[i] = bounds.clamp(q[i]);
-    }
-    return true;
-}
-
 // A solution that `polish` keeps.
 struct Kept {
     std::vector<double> q;
@@ -86,7 +72,8 @@ inline Solutions polish(IkSolver& solver, const Target& target, Vector q0, Matri
             descend_exactly(solver, target, trial, polished.steps);
             moved = true;
         }
-        if (!wind_inside(chain, q0, trial)) { continue; }
+        if (!chain.wind_inside(q0, LIMIT_ROUNDING, trial)) { continue; }
+        chain.clamp(trial);
         moved = moved || !std::ranges::equal(trial, seeds.row(s));
         if (moved) { error = solver.tip_error(target, trial); }
         if (!target.tolerances.contain(error)) {

@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.ik.geometry import ClosedForm
-from armctl.ik.problem import IkChain, Problem
+from armctl.ik.problem import IkChain
 
 _ONE_POSITION = np.zeros(1)  # of a sweep that six joints do not need
 MIN_SAMPLES = 16  # of a sweep
@@ -45,21 +45,6 @@ class Solutions(NamedTuple):
         )
 
 
-_Rows = tuple[Array, Array, Array, IntArray]  # the first four fields of `Solutions`
-
-
-def _room(count: int, n: int) -> _Rows:
-    return np.empty((count, n)), np.empty(count), np.empty(count), np.empty(count, np.int64)
-
-
-def _solutions(rows: _Rows, count: int, starts: int, steps: int, is_complete: bool) -> Solutions:
-    """Those of the rows that the core has filled."""
-    q, position_errors, orientation_errors, branches = rows
-    return Solutions(
-        q[:count], position_errors[:count], orientation_errors[:count], branches[:count], starts, steps, is_complete
-    )
-
-
 def closed_form_solutions(
     chain: IkChain,
     closed_form: ClosedForm,
@@ -82,13 +67,24 @@ def closed_form_solutions(
         min_samples = MIN_SAMPLES
         positions = _swept(chain, closed_form.held, q0, max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit))
         room = limit + MAX_SEEDS_PER_SAMPLE * MIN_SAMPLES
-    rows = _room(room, len(chain.unit))
+    # The core fills as many rows as there are solutions.
+    rows = (np.empty((room, len(chain.unit))), np.empty(room), np.empty(room), np.empty(room, np.int64))
     assert chain.closed_form_core is not None
     found = chain.closed_form_core.solve_all(
         target, q0, position_tolerance, orientation_tolerance, slack, margin, positions, min_samples, limit, *rows
     )
+    count = found.count
+    q, position_errors, orientation_errors, branches = rows
     is_complete = not found.lost and not found.doubtful and closed_form.is_exact and closed_form.held is None
-    return _solutions(rows, found.count, found.samples, found.steps, is_complete)
+    return Solutions(
+        q[:count],
+        position_errors[:count],
+        orientation_errors[:count],
+        branches[:count],
+        found.samples,
+        found.steps,
+        is_complete,
+    )
 
 
 def first_solutions(chain: IkChain, closed_form: ClosedForm, targets: Array, q0: Array, q: Array) -> BoolArray:
@@ -126,12 +122,3 @@ def _van_der_corput(count: int) -> Array:
     for bit in range(count.bit_length()):
         value += ((k >> bit) & 1) * 0.5 ** (bit + 1)
     return frozen(value)
-
-
-def polished(problem: Problem, seeds: Array, starts: int, is_complete: bool) -> Solutions:
-    """The solutions that seeds (M, n) lead to, the nearest to q0 first; `is_complete` holds if none of the seeds is lost."""
-    rows = _room(*seeds.shape)
-    found = problem.chain.core.polish(
-        problem.targets[0], problem.position_tolerance, problem.orientation_tolerance, problem.q0[0], seeds, *rows
-    )
-    return _solutions(rows, found.count, starts, found.steps, is_complete and found.lost == 0)

@@ -10,7 +10,7 @@ from armctl import _core
 from armctl._core import Constraint
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.ik import lm
-from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions, polished
+from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions
 from armctl.ik.problem import IkChain, Problem
 
 # Bound on the number of isolated configurations of six hinges in series (Primrose, "On the input-output equation of the general
@@ -47,29 +47,34 @@ def numerical_solutions(problem: Problem, limit: int) -> Solutions:
         found = _sweep(problem, swept, first.q[0], limit)
     else:
         found = _find(problem, chain.to_units(first.q[:1]), bound or limit, is_first=True)
-    q = _inside_limits(problem, found.q)
-    position_error, orientation_error = problem.select(np.zeros(len(q), np.int64)).residuals(q)
-    ok = problem.is_solved(position_error, orientation_error)
-    distance = np.linalg.norm(chain.to_units(q) - chain.to_units(problem.q0), axis=1)
-    order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
-    q = q[order]
     is_complete = 0 < len(found.q) == bound and _all_regular(problem, found.q)
-    return Solutions(
-        q=q,
-        position_errors=position_error[order],
-        orientation_errors=orientation_error[order],
-        branches=chain.branch_numbers(q),
-        starts=found.starts + starts,
-        steps=found.steps + steps,
-        is_complete=is_complete,
-    )
+    return _solutions_inside(problem, _Found(found.q, found.starts + starts, found.steps + steps), is_complete)
 
 
 def completed_solutions(problem: Problem, found: Solutions) -> Solutions:
     """The solutions of an arm whose axes are only almost special: near singularities its closed form may miss some."""
     more = _find(problem, found.q, MAX_SOLUTIONS_6R, is_first=False)
-    complete = polished(problem, more.q, found.starts + more.starts, len(more.q) == MAX_SOLUTIONS_6R)
-    return complete._replace(steps=found.steps + more.steps + complete.steps)
+    all_found = _Found(more.q, found.starts + more.starts, found.steps + more.steps)
+    return _solutions_inside(problem, all_found, len(more.q) == MAX_SOLUTIONS_6R)
+
+
+def _solutions_inside(problem: Problem, found: _Found, is_complete: bool) -> Solutions:
+    """Those of the solutions found that are inside the limits, the nearest to q0 first."""
+    chain = problem.chain
+    q = _inside_limits(problem, found.q)
+    position_errors, orientation_errors = problem.select(np.zeros(len(q), np.int64)).residuals(q)
+    ok = problem.is_solved(position_errors, orientation_errors)
+    distance = np.linalg.norm(chain.to_units(q) - chain.to_units(problem.q0), axis=1)
+    order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
+    return Solutions(
+        q=q[order],
+        position_errors=position_errors[order],
+        orientation_errors=orientation_errors[order],
+        branches=chain.branch_numbers(q[order]),
+        starts=found.starts,
+        steps=found.steps,
+        is_complete=is_complete,
+    )
 
 
 @lru_cache(maxsize=64)

@@ -255,8 +255,7 @@ def _make_chain(arm: Arm) -> IkChain:
                 pair_first=closed_form.pair_first,
                 distances_to_points=np.einsum("kj,kj->k", closed_form.points - hinges.points, hinges.axes),
             )
-            zero = hinges._replace(points=closed_form.points)._asdict()
-            closed_form_core = _core.ClosedForm(core, held=closed_form.held, **zero)
+            closed_form_core = _core.ClosedForm(core, closed_form.held)
     return IkChain(
         arrays=arrays,
         core=core,

@@ -119,6 +119,5 @@ def test_joints_that_do_not_exist_are_refused():
     with pytest.raises(InputError, match=r"^first: 2 is not one of 2$"):
         _core.Chain(unknowns=np.array([0, 1]), **arrays, **special)
     chain = _core.Chain(unknowns=np.array([0, 1]), **arrays)
-    lines = {"axes": np.zeros((2, 3)), "points": np.zeros((2, 3))}
-    with pytest.raises(InputError, match=r"^axes: expected special axes of six hinges, or of seven with one that is held$"):
-        _core.ClosedForm(chain, tip_rotation=np.eye(3), tip_translation=np.zeros(3), **lines)
+    with pytest.raises(InputError, match=r"^chain: expected special axes of six hinges, or of seven with one that is held$"):
+        _core.ClosedForm(chain, None)

@@ -1,6 +1,7 @@
 // Inverse kinematics: the chain of an arm, searches on it, and its closed form.
 //
 // Calls have their own scratch memory and run without the GIL.
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 
 #include "arguments.hpp"
@@ -94,25 +95,6 @@ void descend(const Chain& chain, const In& target, Constraint constraint, double
     }
 }
 
-SolutionRows solution_rows(size_t n, const Out& q, const Out& position_errors, const Out& orientation_errors, const IntegersOut& branches) {
-    const size_t count = q.length("q");
-    return {
-        .q = q.matrix(count, n, "q"),
-        .position_errors = position_errors.vector(count, "position_errors"),
-        .orientation_errors = orientation_errors.vector(count, "orientation_errors"),
-        .branches = branches.vector(count, "branches"),
-    };
-}
-
-Solutions polish_seeds(const Chain& chain, const In& target, double position_tolerance, double orientation_tolerance, const In& q0,
-                       const In& seeds, const Out& q, const Out& position_errors, const Out& orientation_errors,
-                       const IntegersOut& branches) {
-    const SolutionRows rows = solution_rows(chain.n(), q, position_errors, orientation_errors, branches);
-    const Target goal = target_of(target, Constraint::pose, position_tolerance, orientation_tolerance);
-    IkSolver solver(chain);
-    return polish(solver, goal, q0.vector(chain.n(), "q0"), seeds.matrix(rows.q.rows, chain.n(), "seeds"), rows);
-}
-
 void branches_of(const Chain& chain, const In& q, const IntegersOut& branches) {
     const Matrix configurations = q.matrix(q.length("q"), chain.n(), "q");
     const auto numbers = branches.vector(configurations.rows, "branches");
@@ -167,9 +149,6 @@ void bind_chain(nb::module_& module) {
              "Fills q (B, n) with random configurations of numbers from `first` on: odd ones inside the bounds, others in one turn.")
         .def("descend", &descend, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q"_a, "solved"_a,
              "steps"_a, Release(), "Descends from each q (B, n) to a solution for a target (12,), without regard to the bounds of hinges.")
-        .def("polish", &polish_seeds, "target"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "seeds"_a, "q"_a,
-             "position_errors"_a, "orientation_errors"_a, "branches"_a, Release(),
-             "Refines the seeds (M, n) of a pose (12,) and keeps those that are solutions inside the bounds, nearest first.")
         .def("branches", &branches_of, "q"_a, "branches"_a, Release(), "Fills branches (N,) with the numbers of those of q (N, n).");
 }
 
@@ -184,15 +163,10 @@ double linearize(ErrorModel& model, const In& target, Constraint constraint, dou
     for (size_t i = 0; i < n; ++i) {
         descent[i] = model.gradient(i);
         for (size_t k = 0; k < n; ++k) { H(i, k) = model.hessian(i, k); }
-        const auto [linear, angular] = model.kinematics().jacobian()[i];
-        const double column[6] = {linear.x, linear.y, linear.z, angular.x, angular.y, angular.z};
+        const std::array<double, 6> column = numbers(model.kinematics().jacobian()[i]);
         for (size_t row = 0; row < 6; ++row) { jacobian(row, i) = column[row]; }
     }
     return model.size();
-}
-
-std::shared_ptr<ClosedForm> make_closed_form(std::shared_ptr<const Chain> chain, const nb::kwargs& arguments) {
-    return std::make_shared<ClosedForm>(std::move(chain), Arguments(arguments));
 }
 
 Solutions solve_with_closed_form(const ClosedForm& closed_form, const In& target, const In& q0, double position_tolerance,
@@ -200,15 +174,20 @@ Solutions solve_with_closed_form(const ClosedForm& closed_form, const In& target
                                  std::int64_t wanted, const Out& q, const Out& position_errors, const Out& orientation_errors,
                                  const IntegersOut& branches) {
     const size_t n = closed_form.chain().n();
-    const SolutionRows rows = solution_rows(n, q, position_errors, orientation_errors, branches);
+    const size_t room = q.length("q");
+    const SolutionRows rows{
+        .q = q.matrix(room, n, "q"),
+        .position_errors = position_errors.vector(room, "position_errors"),
+        .orientation_errors = orientation_errors.vector(room, "orientation_errors"),
+        .branches = branches.vector(room, "branches"),
+    };
     const Target goal{pose_of(target.shaped({4, 3}, "target")), Constraint::pose, {position_tolerance, orientation_tolerance}};
     const Sweep sweep{positions.vector(positions.length("positions"), "positions"), least, wanted};
-    std::vector<double> memory(rows.q.rows * n);
-    const MatrixResult seeds{memory.data(), rows.q.rows, n};
+    DenseMatrix seeds(room, n);
     const Vector start = q0.vector(n, "q0");
     const Seeds found = closed_form.find(goal.pose, start, slack, margin, sweep, seeds);
     IkSolver solver(closed_form.chain());
-    Solutions solutions = polish(solver, goal, start, {seeds.data, static_cast<size_t>(found.count), n}, rows);
+    Solutions solutions = polish(solver, goal, start, {seeds.numbers().data(), static_cast<size_t>(found.count), n}, rows);
     solutions.samples = found.samples;
     solutions.doubtful = found.doubtful;
     return solutions;
@@ -222,8 +201,7 @@ void find_first(const ClosedForm& closed_form, const In& targets, const In& q0, 
     const MatrixResult results = q.matrix(count, n, "q");
     const auto are_found = found.vector(count, "found");
     const Sweep sweep{.positions = positions.vector(positions.length("positions"), "positions"), .least = 1, .wanted = 1};
-    std::vector<double> memory(MAX_CONFIGURATIONS * n);
-    const MatrixResult seeds{memory.data(), MAX_CONFIGURATIONS, n};
+    DenseMatrix seeds(MAX_CONFIGURATIONS, n);
     for (size_t t = 0; t < count; ++t) {
         const Seeds solved = closed_form.find(pose_of(goals.row(t)), q0.vector(n, "q0"), slack, margin, sweep, seeds);
         are_found[t] = solved.count > 0 ? 1 : 0;
@@ -257,8 +235,8 @@ void bind_ik(nb::module_& module) {
              "Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach\n"
              "counts like a rad. Returns the norm of the error.");
     nb::class_<ClosedForm>(module, "ClosedForm", "The closed form of six hinges; armctl/cpp/closed_form.hpp explains it. Immutable.")
-        .def(nb::new_(&make_closed_form), "chain"_a, "arguments"_a,
-             "From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.")
+        .def(nb::init<std::shared_ptr<const Chain>, std::optional<size_t>>(), "chain"_a, "held"_a.none(),
+             "Of a chain with special axes; of seven hinges, one is held.")
         .def("solve_all", &solve_with_closed_form, "target"_a, "q0"_a, "position_tolerance"_a, "orientation_tolerance"_a, "slack"_a,
              "margin"_a, "positions"_a, "least"_a, "wanted"_a, "q"_a, "position_errors"_a, "orientation_errors"_a, "branches"_a, Release(),
              "Fills q (M, n), errors and branches (M,) with the solutions for a target (4, 3), refined, the nearest to q0 first.")
