@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.atomic import atomic_path, file_path
-from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.errors import InputError, import_extra
 from armctl.core.log import Log
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, choice, instance, number
@@ -142,10 +142,7 @@ def film_path(path: str | os.PathLike[str], what: str = "path") -> Path:
     """The path of a film, checked before anything runs. Raises NotInstalledError if there is no encoder for it."""
     path = file_path(what, path, ENDINGS)
     if path.suffix == ".mp4":
-        try:
-            import av  # noqa: F401
-        except ImportError:
-            raise NotInstalledError.of_extra("an .mp4 needs an encoder (a .gif does not)", "view") from None
+        import_extra("av", "an .mp4 needs an encoder (a .gif does not)", "view")
     return path
 
 
