@@ -22,8 +22,8 @@ from armctl.analysis.iso9283_figures import (
     orientation,
     path_speed,
     posing_time,
-    rotation_vectors,
     stabilisation,
+    turn_between,
 )
 from armctl.collision.checkers import collision_checker
 from armctl.control import controller_by_name
@@ -247,9 +247,7 @@ class _Tests:
         logs = _runs(self.simulation, self.q[0], legs * cycles)
         shape = (cycles, len(_ORDER) - 1, -1)
         attained = np.array([log.tip[-1] for log in logs]).reshape(shape)
-        turned = rotation_vectors(
-            np.array([log.tip_quat[-1] for log in logs]), np.array([log.tip_ref_quat[-1] for log in logs])
-        )
+        turned = np.array([turn_between(log.tip_ref_quat[-1], log.tip_quat[-1]) for log in logs])
         offsets = attained - self.points[list(_ORDER[1:])]
         pose = accuracy(offsets)
         angles = orientation(turned.reshape(shape))

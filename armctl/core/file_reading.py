@@ -74,5 +74,5 @@ def read_parquet(path: Path, max_bytes: int) -> Any:
 
 
 def pyarrow() -> tuple[Any, Any]:
-    arrow, parquet = (import_extra(name, "Parquet files need pyarrow", "study") for name in ("pyarrow", "pyarrow.parquet"))
-    return arrow, parquet
+    parquet = import_extra("pyarrow.parquet", "Parquet files need pyarrow", "study")
+    return import_extra("pyarrow", "Parquet files need pyarrow", "study"), parquet
