@@ -7,6 +7,7 @@ import copy
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import repeat
 from pathlib import Path
 from typing import IO, Self
 
@@ -280,13 +281,11 @@ def _write_gif(path: Path, frames: Iterable[Image], frames_per_second: int) -> N
 
 def _with_last_held(frames: Iterable[Image], count: int) -> Iterator[Image]:
     """The frames, of which there is at least one, and the last one again as often as given."""
-    iterator = iter(frames)
-    frame = next(iterator)
-    yield frame
-    for frame in iterator:
-        yield frame
-    for _ in range(count):
-        yield frame
+    last = None
+    for last in frames:
+        yield last
+    assert last is not None
+    yield from repeat(last, count)
 
 
 def _with_progress(path: Path, frames: Iterable[Image], count: int) -> Iterator[Image]:
