@@ -1,6 +1,5 @@
 """Arms, serial chains and the end of a run, in words and as plain data."""
 
-import math
 from dataclasses import fields
 from typing import Any
 
@@ -8,6 +7,7 @@ from armctl.analysis.static_payload import doubt_about_torque_limits, static_pay
 from armctl.control.margin_exceptions import margin_exceptions
 from armctl.control.observer_gains import max_unknown_payload
 from armctl.core import units
+from armctl.core.json_values import json_value
 from armctl.core.log import Log
 from armctl.core.tables import Table
 from armctl.loading.chain import SerialChain
@@ -16,26 +16,23 @@ from armctl.robot.arm import Arm
 
 def facts(arm: Arm) -> dict[str, Any]:
     """An arm as plain data for JSON; what is infinite becomes None."""
-    limits = {
-        f.name: [x if math.isfinite(x) else None for x in getattr(arm.limits, f.name).tolist()] for f in fields(arm.limits)
-    }
-    payload = static_payload(static_payloads(arm))
-    return {
+    data = {
         "name": arm.name,
         "joint_names": list(arm.joint_names),
         "units": list(arm.units),
         "tip": arm.tip,
         "tip_at_home": arm.fk(arm.home).position.tolist(),
         "home": arm.home.tolist(),
-        "limits": limits,
+        "limits": {f.name: getattr(arm.limits, f.name).tolist() for f in fields(arm.limits)},
         "sources": dict(arm.sources),
         "mass_kg": float(sum(inertia.mass for inertia in arm.pinocchio_model.pin_model.inertias)),
         "timestep_s": arm.dt,
         "notes": list(arm.notes),
-        "static_payload_kg": payload if math.isfinite(payload) else None,
+        "static_payload_kg": static_payload(static_payloads(arm)),
         "unknown_payload_kg": max_unknown_payload(arm),
         "margin_exceptions": list(margin_exceptions(arm)),
     }
+    return json_value(data)
 
 
 def describe(arm: Arm) -> str:

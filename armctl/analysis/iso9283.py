@@ -22,13 +22,14 @@ from armctl.analysis.iso9283_figures import (
     orientation,
     path_speed,
     posing_time,
-    rotation_vectors,
     stabilisation,
+    turn_between,
 )
 from armctl.collision.checkers import collision_checker
 from armctl.control import controller_by_name
 from armctl.control.interface import Controller, controller_name
 from armctl.core.errors import PlanError
+from armctl.core.json_values import json_value
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import Verdict
@@ -130,7 +131,7 @@ class Iso9283(Verdict):
 
     def to_dict(self) -> dict[str, object]:
         """Every attribute by name, for JSON: NaN becomes None."""
-        return {name: _for_json(value) for name, value in asdict(self).items()}
+        return json_value(asdict(self))
 
     def __str__(self) -> str:
         done = f"{self.cycles} cycles of 5 poses, {self.path_cycles} of the path" if self.ok else f"failed: {self.reason}"
@@ -246,9 +247,7 @@ class _Tests:
         logs = _runs(self.simulation, self.q[0], legs * cycles)
         shape = (cycles, len(_ORDER) - 1, -1)
         attained = np.array([log.tip[-1] for log in logs]).reshape(shape)
-        turned = rotation_vectors(
-            np.array([log.tip_quat[-1] for log in logs]), np.array([log.tip_ref_quat[-1] for log in logs])
-        )
+        turned = np.array([turn_between(log.tip_ref_quat[-1], log.tip_quat[-1]) for log in logs])
         offsets = attained - self.points[list(_ORDER[1:])]
         pose = accuracy(offsets)
         angles = orientation(turned.reshape(shape))
@@ -340,12 +339,6 @@ def _compliance(arm: Arm, controller: Controller, plant: Plant) -> dict[str, obj
             ends.append(log.tip[-len(log) // 10 :].mean(axis=0))
         compliance.append(float((ends[0] - ends[1]) @ direction / (2 * _LOAD_N)))
     return {"compliance_m_per_N": tuple(compliance)}
-
-
-def _for_json(value: object) -> object:
-    if isinstance(value, tuple):
-        return [_for_json(each) for each in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _listed(scale: float, values: _Triple) -> str:

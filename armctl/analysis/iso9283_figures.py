@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.log import Log
+from armctl.core.pose import matrix_from_quat, rotation_vector
 from armctl.core.validation import Array
 
 # Normal to the commanded path, in the middle of equal sections: 5 %, 15 %, ... 95 % of it. Start and stop are outside.
@@ -57,13 +58,9 @@ def orientation(angles: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple(worst_accuracy.tolist()), tuple(worst_repeatability.tolist())
 
 
-def rotation_vectors(quat: Array, quat_ref: Array) -> Array:
-    """(..., 3) rad, the rotation from a reference orientation to an attained one, world axes; quaternions (..., 4) wxyz."""
-    w = (quat * quat_ref).sum(axis=-1, keepdims=True)
-    vector = quat_ref[..., :1] * quat[..., 1:] - quat[..., :1] * quat_ref[..., 1:] - np.cross(quat[..., 1:], quat_ref[..., 1:])
-    norm = np.linalg.norm(vector, axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(norm, np.abs(w)) * np.where(w < 0.0, -1.0, 1.0)
-    return vector * angle / np.maximum(norm, np.finfo(float).tiny)
+def turn_between(quat_ref: Array, quat: Array) -> Array:
+    """(3,) rad, the rotation vector from a reference orientation to an attained one, world axes; quaternions (4,) wxyz."""
+    return rotation_vector(matrix_from_quat(quat) @ matrix_from_quat(quat_ref).T)
 
 
 def distance(first: Array, second: Array, commanded: float) -> Spread:

@@ -13,6 +13,7 @@ import numpy as np
 from armctl.analysis.plot import four_panels
 from armctl.core import units
 from armctl.core.errors import InputError
+from armctl.core.json_values import json_value
 from armctl.core.log import Contact, Log
 from armctl.core.result import Verdict
 from armctl.core.tables import Table
@@ -158,7 +159,7 @@ class Report(Verdict):
         """Every attribute but the log by name, for JSON: NaN and infinity become None."""
         figures = {k: v for k, v in self.__dict__.items() if k != "log"}
         figures["contacts"] = [contact._asdict() for contact in self.contacts]
-        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in figures.items()}
+        return json_value(figures)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
         """Draws joint angles, velocities, torques with their limits, and the tip, over time.

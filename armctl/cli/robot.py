@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from armctl.cli import common
 from armctl.core.errors import InputError
+from armctl.core.json_values import json_value
 
 if TYPE_CHECKING:
     from armctl.links.link import Link
@@ -44,8 +45,7 @@ def run(args: argparse.Namespace) -> int:
             view_robot(robot)
             return common.DONE
         check = robot.check(seconds)
-    figures = {name: None if value != value else value for name, value in asdict(check).items()}  # JSON has no NaN
-    common.print_result(args, str(check), figures, check.reason)
+    common.print_result(args, str(check), json_value(asdict(check)), check.reason)
     return common.DONE if check else common.NOT_REACHED
 
 

@@ -62,11 +62,10 @@ def run_doctor(args: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from armctl.analysis.diagnose import diagnose
+    from armctl.core.json_values import json_value
 
     found = diagnose(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base, srdf=args.srdf)
-    payload = found.payload if found else None
-    figures = {"name": found.name, "payload": payload, "findings": [asdict(f) for f in found.findings]}
-    common.print_result(args, str(found), figures, found.reason)
+    common.print_result(args, str(found), json_value(asdict(found)), found.reason)
     return common.DONE if found else common.NOT_REACHED
 
 

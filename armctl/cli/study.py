@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.cli import common
-from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.errors import InputError, import_extra
 
 if TYPE_CHECKING:
     from armctl.study.result import StudyResult
@@ -81,12 +81,9 @@ def _executor(address: str | None, workers: int | None) -> Iterator[Executor | N
     if address is None:
         yield None
         return
+    dask = import_extra("dask.distributed", "--dask needs Dask", "study")
     try:
-        from dask.distributed import Client
-    except ImportError:
-        raise NotInstalledError.of_extra("--dask needs Dask", "study") from None
-    try:
-        client = Client(address, timeout=_CONNECT_TIMEOUT_S)
+        client = dask.Client(address, timeout=_CONNECT_TIMEOUT_S)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"--dask: {address:.80}: {error!s:.160}") from None
     with client:

@@ -99,7 +99,7 @@ class CollisionChecker:
     def nearest(self, q: Array) -> tuple[int, float]:
         """The row of the pair that is nearest to touching at q (n,), or -1 where there is no pair, and its distance, m.
 
-        The distance is zero or less if it overlaps, then not the depth.
+        The distance is infinite where there is no pair, and zero or less if it overlaps, then not the depth.
         """
         nearest = self._memory.scene.nearest_pair(_contiguous(q))
         return (nearest.pair if nearest.pair < len(self.geometry.pairs) else -1), nearest.distance

@@ -15,7 +15,7 @@ import numpy as np
 
 from armctl._core import CollisionModel, ShapeKind
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
-from armctl.mjmodel.queries import is_below
+from armctl.mjmodel.queries import is_below, placed
 from armctl.robot.joint_map import JointMap
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -154,9 +154,7 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     All joints outside the joint map stay where `qpos` (nq,) has them. `held` are bodies that are carried, and the body that
     carries each.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
+    data = placed(model, qpos)
     mujoco.mj_comPos(model, data)
     frames = _frames(model, data, joint_map.joints, held or {})
     pairs = _moving_pairs(model, frames)

@@ -7,7 +7,9 @@ A target that is out of reach, blocked or not settled raises nothing; the result
 from __future__ import annotations
 
 import difflib
+import importlib
 from collections.abc import Iterable
+from typing import Any
 
 MAX_MESSAGE_CHARACTERS = 400
 _MAX_LISTED_CHARACTERS = 240  # of known names; of a longer list the message gives the number
@@ -95,6 +97,14 @@ class NotInstalledError(ArmctlError):
             extra: Name of the extra.
         """
         return cls(f"{what}; install armctl with its extra [{extra}], in a clone: .venv/bin/pip install -e '.[{extra}]'")
+
+
+def import_extra(module: str, what: str, extra: str) -> Any:
+    """A module that one of armctl's extras installs; NotInstalledError, as by `NotInstalledError.of_extra`, without it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise NotInstalledError.of_extra(what, extra) from None
 
 
 class PlanError(ArmctlError):

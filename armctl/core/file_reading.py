@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from armctl.core.errors import ArmctlError, InputError, NotInstalledError
+from armctl.core.errors import ArmctlError, InputError, NotInstalledError, import_extra
 
 _MAX_PATH_CHARACTERS = 120  # of a path in a message
 
@@ -74,9 +74,5 @@ def read_parquet(path: Path, max_bytes: int) -> Any:
 
 
 def pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise NotInstalledError.of_extra("Parquet files need pyarrow", "study") from None
-    return pyarrow, pyarrow.parquet
+    parquet = import_extra("pyarrow.parquet", "Parquet files need pyarrow", "study")
+    return import_extra("pyarrow", "Parquet files need pyarrow", "study"), parquet

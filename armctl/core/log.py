@@ -233,9 +233,8 @@ class Log:
         names = recording.joint_names if joint_names is None else words("joint_names", joint_names)
         if len(names) != len(recording.joint_names):
             raise InputError(f"{path!s:.80}: {len(recording.joint_names)} joints are recorded, {len(names)} are named")
-        nothing = np.full(recording.q.shape, np.nan)
-        found = recording.q, recording.v, nothing, recording.tau
-        return cls._recorded(robot, names, recording.units, recording.dt, str(recording), recording.t, *found)
+        found = {"q": recording.q, "v": recording.v, "tau": recording.tau, "tau_cmd": recording.tau}
+        return cls._recorded(robot, names, recording.units, recording.dt, str(recording), recording.t, **found)
 
     @classmethod
     def from_positions(
@@ -273,27 +272,17 @@ class Log:
             raise InputError(f"q: expected at least {_MIN_ROWS} rows, got {len(measured)}")
         dt = number("dt", dt, 1e-6, 10.0)
         t = np.asarray(dt * np.arange(len(measured)), np.float64)
-        found = measured, np.gradient(measured, dt, axis=0), commanded, np.full(measured.shape, np.nan)
-        return cls._recorded(robot, names, words("units", units), dt, "a recording of positions", t, *found)
+        found = {"q": measured, "v": np.gradient(measured, dt, axis=0), "q_ref": commanded}
+        return cls._recorded(robot, names, words("units", units), dt, "a recording of positions", t, **found)
 
     @classmethod
     def _recorded(
-        cls,
-        robot: str,
-        names: tuple[str, ...],
-        units: tuple[str, ...],
-        dt: float,
-        plant: str,
-        t: Array,
-        q: Array,
-        v: Array,
-        q_ref: Array,
-        tau: Array,
+        cls, robot: str, names: tuple[str, ...], units: tuple[str, ...], dt: float, plant: str, t: Array, **known: Array
     ) -> Log:
-        """A log of a real robot, whose other quantities are NaN."""
-        nothing = np.full_like(q, np.nan)
-        nowhere = np.full((len(q), 3), np.nan)
-        no_rotation = np.full((len(q), 4), np.nan)
+        """A log of a real robot, whose quantities that are not known are NaN."""
+        recorded = {name: each for name, each in QUANTITIES.items() if not each.is_optional}
+        widths = {name: len(names) if each.is_per_joint else len(each.axes) for name, each in recorded.items()}
+        unknown = {name: np.full((len(t), width), np.nan) for name, width in widths.items()}
         return cls(
             robot=robot,
             controller=RECORDED,
@@ -304,20 +293,10 @@ class Log:
             target=np.full(7, np.nan),
             real_time_factor=1.0,
             failure="",
-            v_ref=nothing,
-            a_ref=nothing,
             t=t,
-            q=q,
-            v=v,
-            q_ref=q_ref,
-            tau=tau,
-            tau_cmd=tau,
-            tip=nowhere,
-            tip_quat=no_rotation,
-            tip_ref=nowhere,
-            tip_ref_quat=no_rotation,
             plant=plant,
             units=units,
+            **{**unknown, **known},
         )
 
 

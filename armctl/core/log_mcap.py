@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from armctl.core.errors import NotInstalledError
+from armctl.core.errors import import_extra
 from armctl.core.validation import Array
 
 _RULE = "=" * 80
@@ -44,17 +44,14 @@ float64 w
 
 def save_mcap(path: Path, log: Any) -> None:
     """Writes /joint_states, /joint_references, /tip and /tip_reference; references only if the run had any."""
-    try:
-        from mcap_ros2.writer import Writer
-    except ImportError:
-        raise NotInstalledError.of_extra("MCAP files need mcap-ros2-support", "ros") from None
+    mcap = import_extra("mcap_ros2.writer", "MCAP files need mcap-ros2-support", "ros")
     joint_topics: dict[str, tuple[Array, Array, Array | None]] = {"/joint_states": (log.q, log.v, log.tau)}
     tip_topics = {"/tip": (log.tip, log.tip_quat)}
     if not log.is_open_loop:
         joint_topics["/joint_references"] = (log.q_ref, log.v_ref, None)
         tip_topics["/tip_reference"] = (log.tip_ref, log.tip_ref_quat)
     names = list(log.joint_names)
-    with path.open("wb") as file, Writer(file) as writer:
+    with path.open("wb") as file, mcap.Writer(file) as writer:
         joint_schema = writer.register_msgdef("sensor_msgs/msg/JointState", _JOINT_STATE)
         pose_schema = writer.register_msgdef("geometry_msgs/msg/PoseStamped", _POSE_STAMPED)
         for k, time in enumerate(log.t.tolist()):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.errors import NotInstalledError
+from armctl.core.errors import import_extra
 from armctl.render.renderer import Image
 from armctl.render.video import Mp4Writer
 
@@ -59,16 +59,10 @@ class LeRobotWriter:
 
         NotInstalledError if packages for Parquet or films are missing.
         """
-        try:
-            import pandas  # noqa: F401
-            import pyarrow  # noqa: F401
-        except ImportError:
-            raise NotInstalledError.of_extra("data sets need pyarrow and pandas", "study") from None
+        for package in ("pandas", "pyarrow"):
+            import_extra(package, "data sets need pyarrow and pandas", "study")
         if size is not None:
-            try:
-                import av  # noqa: F401
-            except ImportError:
-                raise NotInstalledError.of_extra("films of episodes need an encoder", "view") from None
+            import_extra("av", "films of episodes need an encoder", "view")
         self.episodes = 0  # episodes so far
         self.frames = 0  # frames so far
         self._folder = folder

@@ -1,5 +1,6 @@
 """Recognition of the arms that have a closed form, from the axes of their joints."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -65,14 +66,14 @@ def axes_of(axes: Array, points: Array) -> Relation | None:
     return Relation(AxesRelation.MEET, point, distance) if distance <= RECOGNITION_TOLERANCE else None
 
 
-def closed_form_of(hinges: Hinges) -> ClosedForm | None:
-    """The closed form of a chain of hinges, if it has one."""
+def closed_form_of(hinges: Hinges, jacobian: Callable[[Array], Array]) -> ClosedForm | None:
+    """The closed form of a chain of hinges, if it has one; `jacobian` is that (6, n) of its tip at q (n,), in reaches."""
     n = len(hinges.axes)
     if n not in (6, 7):
         return None
     axes = hinges.axes
     points = hinges.points
-    dexterity = _dexterity(axes, points, hinges.tip_translation)
+    dexterity = _dexterity(jacobian, n)
     best: ClosedForm | None = None
     best_rank = (False, MIN_DEXTERITY)
     for held in [None] if n == 6 else range(n):
@@ -136,32 +137,9 @@ def branch_names(kind: AxesRelation, first: int, pair_kind: AxesRelation, pair_f
     return (*names, None)
 
 
-def _dexterity(axes: Array, points: Array, tip: Array) -> dict[int | None, float]:
+def _dexterity(jacobian: Callable[[Array], Array], n: int) -> dict[int | None, float]:
     """The mean smallest singular value of the Jacobian, as it is (key None) and without each of the joints."""
-    n = len(axes)
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (DEXTERITY_SAMPLES, n))
-    J = np.array([_jacobian(axes, points, tip, q) for q in angles])
+    J = np.array([jacobian(q) for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (DEXTERITY_SAMPLES, n))])
     columns: dict[int | None, list[int]] = {None: list(range(n)), **{k: [j for j in range(n) if j != k] for k in range(n)}}
     regular = {k: kept for k, kept in columns.items() if len(kept) >= 6}
     return {k: float(np.linalg.svd(J[:, :, kept], compute_uv=False)[:, 5].mean()) for k, kept in regular.items()}
-
-
-def _jacobian(axes: Array, points: Array, tip: Array, q: Array) -> Array:
-    """(6, n) at q, from the axes in the zero configuration."""
-    rotation = np.eye(3)
-    translation = np.zeros(3)
-    J = np.zeros((6, len(q)))
-    arms = np.zeros((len(q), 3))
-    for k, angle in enumerate(q):
-        axis = rotation @ axes[k]
-        point = rotation @ points[k] + translation
-        J[3:, k] = axis
-        arms[k] = point
-        x, y, z = axis
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-        translation = point + turn @ (translation - point)
-        rotation = turn @ rotation
-    end = rotation @ tip + translation
-    J[:3] = np.cross(J[3:].T, end - arms).T
-    return J

@@ -243,8 +243,9 @@ def _make_chain(arm: Arm) -> IkChain:
     closed_form = None
     closed_form_core = None
     if body.chain_length == arm.n and (period > 0).all() and (ratios == 1.0).all():
-        hinges = hinges_at(rotations, translations, np.zeros(arm.n))
-        closed_form = closed_form_of(hinges)
+        hinges = _hinges(rotations, translations)
+        in_reaches = np.repeat([[1 / reach], [1.0]], 3, axis=0)
+        closed_form = closed_form_of(hinges, lambda q: in_reaches * body.jacobian(q))
         if closed_form is not None:
             core = _core.Chain(
                 **arrays,
@@ -274,21 +275,18 @@ def _make_chain(arm: Arm) -> IkChain:
     )
 
 
-def hinges_at(rotations: Array, translations: Array, q: Array) -> Hinges:
-    """The hinges at q (n,) of a chain whose links are (n + 1, 3, 3) and (n + 1, 3), the tip's last."""
+def _hinges(rotations: Array, translations: Array) -> Hinges:
+    """The hinges at zero of a chain whose links are (n + 1, 3, 3) and (n + 1, 3), the tip's last."""
     rotation = np.eye(3)
     position = np.zeros(3)
-    axes = np.empty((len(q), 3))
-    points = np.empty((len(q), 3))
-    turns = _joint_transforms(q, np.zeros(len(q), bool))[:, :3, :3]
-    for k, (link_rotation, link_translation) in enumerate(zip(rotations, translations, strict=True)):
+    axes = []
+    points = []
+    for link_rotation, link_translation in zip(rotations, translations, strict=True):
         position = position + rotation @ link_translation
         rotation = rotation @ link_rotation
-        if k < len(q):
-            axes[k] = rotation[:, 2]
-            points[k] = position
-            rotation = rotation @ turns[k]
-    return Hinges(axes, points, rotation, position)
+        axes.append(rotation[:, 2])
+        points.append(position)
+    return Hinges(np.array(axes[:-1]), np.array(points[:-1]), rotation, position)
 
 
 def _joint_transforms(displacements: Array, is_slide: BoolArray) -> Array:

@@ -93,7 +93,7 @@ def gravity(model: ArmModel, q: jax.Array) -> jax.Array:
 def dry_friction(model: ArmModel, q: jax.Array, v_ref: jax.Array, a_ref: jax.Array) -> jax.Array:
     """The torque against dry friction on a reference motion, (n,) N m.
 
-    As `Dynamics.discrete_friction`: in a discrete step, friction acts on the acceleration before implicit forces.
+    In a discrete step, friction acts on the acceleration before implicit forces.
     """
     loss, gain, rate = model.friction.T
     half = model.half_period

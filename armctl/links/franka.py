@@ -6,13 +6,12 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, LinkError, NotInstalledError
+from armctl.core.errors import InputError, LinkError, import_extra
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, flag, number, vector
 from armctl.links.envelope import Envelope
@@ -192,10 +191,7 @@ class Franka(Link):
 @contextmanager
 def _calling(words: str = "") -> Iterator[Any]:
     """Franka's client, whose exceptions become LinkErrors that begin with some words; they have no common base."""
-    try:
-        client = import_module("pylibfranka")
-    except ImportError:
-        raise NotInstalledError.of_extra("links to a Franka need pylibfranka", "franka") from None
+    client = import_extra("pylibfranka", "links to a Franka need pylibfranka", "franka")
     try:
         yield client
     except (client.FrankaException, RuntimeError) as error:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from armctl.core.pose import Pose
 from armctl.core.result import Verdict
 from armctl.core.validation import Array
 from armctl.links.link import Seen
+from armctl.mjmodel.queries import placed
 from armctl.robot.arm import Arm
 
 if TYPE_CHECKING:
@@ -69,9 +69,7 @@ def link_check_of(drive: LinkDrive, tip_difference: float, times: Array, lost: i
 
 def base_pose(arm: Arm) -> Pose:
     """T_world_base: the body that carries the first joint."""
-    data = mujoco.MjData(arm.model)
-    data.qpos[:] = arm.home_qpos
-    mujoco.mj_kinematics(arm.model, data)
+    data = placed(arm.model, arm.home_qpos)
     base = arm.model.body_parentid[arm.model.dof_bodyid[arm.dof_adr[0]]]
     return Pose.from_rotation(data.xpos[base], data.xmat[base].reshape(3, 3))
 

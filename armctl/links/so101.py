@@ -8,13 +8,12 @@ from __future__ import annotations
 import json
 import os
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from armctl.core.errors import InputError, LinkError, NotInstalledError
+from armctl.core.errors import InputError, LinkError, import_extra
 from armctl.core.file_reading import read_bytes, reading, shown_path
 from armctl.core.validation import Array, IntArray, vector
 from armctl.links.envelope import Envelope, envelope_of
@@ -272,10 +271,7 @@ class ServoBus:
     """An open serial port with servos on it. LinkError if it cannot be opened or is gone, or a servo does not answer."""
 
     def __init__(self, port: str):
-        try:
-            serial: Any = import_module("serial")
-        except ImportError:
-            raise NotInstalledError.of_extra("links to an SO-101 need pyserial", "so101") from None
+        serial = import_extra("serial", "links to an SO-101 need pyserial", "so101")
         self.port = port
         try:
             self._line = serial.Serial(port, _BAUD, timeout=_ANSWER_S, write_timeout=_ANSWER_S)

@@ -6,15 +6,15 @@ from itertools import permutations
 
 from armctl.core.errors import ModelError, UnknownNameError
 from armctl.core.pose import Pose
-from armctl.core.validation import Array, shown
+from armctl.core.validation import Array, instance, shown
 from armctl.loading.actuators import actuator_notes, dc_motors
 from armctl.loading.catalog import Source
 from armctl.loading.chain import chain_to, end_note, find_chain
 from armctl.loading.limits import JointData, datasheet_limits, torque_limits
-from armctl.loading.tip import Tip, axis_note, named_body, named_tip, tip_of_chain
+from armctl.loading.tip import Tip, axis_note, named_tip, tip_of_chain
 from armctl.loading.urdf import speed_limits
 from armctl.mjmodel.dc_motor import DcMotor
-from armctl.mjmodel.queries import Joints, body_name, is_below, joint_name
+from armctl.mjmodel.queries import Joints, body_name, body_named, is_below, joint_name
 from armctl.mjmodel.transmissions import Transmission, Transmissions
 
 
@@ -57,7 +57,10 @@ def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnd
 def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[Joints, Tip]:
     """The joints and the tip of one arm, without its tip offset."""
     model = analysis.model
-    base = 0 if ends.base is None else named_body(model, ends.base)
+    base = 0
+    if ends.base is not None:
+        instance("base", ends.base, str, "give the name of a body")
+        base = body_named(model, ends.base)
     if ends.tip is not None:
         tip = named_tip(model, ends.tip)
         return chain_to(analysis, tip.body, base), tip

@@ -15,6 +15,7 @@ from armctl.mjmodel.couplings import tendon_coefficients
 from armctl.mjmodel.dc_motor import DcMotor
 from armctl.mjmodel.queries import joint_name, joint_range
 from armctl.mjmodel.transmissions import Mimic, Transmission
+from armctl.robot.joint_map import JointMap
 
 DEFAULT_SPEED = {mujoco.mjtJoint.mjJNT_HINGE: 2.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.5}  # rad/s, m/s
 DEFAULT_ACCELERATION_TIME_S = 0.05  # from zero to the greatest acceleration
@@ -249,16 +250,13 @@ def _check_inertia(model: mujoco.MjModel, transmissions: Sequence[Transmission],
 
 def _inertia_and_gravity(model: mujoco.MjModel, transmissions: Sequence[Transmission], qpos: Array) -> tuple[Array, Array]:
     """(n, n) mass matrix and (n,) gravity torque of an arm by MuJoCo, all coupled joints included."""
+    leaders = [transmission.joint for transmission in transmissions]
+    joint_map = JointMap.from_transmissions(model, tuple(leaders), transmissions)
     data = mujoco.MjData(model)
     full = np.zeros((model.nv, model.nv))
-    ratio = np.zeros((model.nv, len(transmissions)))
     data.qpos[:] = qpos
-    for i, transmission in enumerate(transmissions):
-        for joint, mimic in transmission.coupled.items():
-            ratio[model.jnt_dofadr[joint], i] = mimic.ratio
-            leader = qpos[model.jnt_qposadr[transmission.joint]]
-            data.qpos[model.jnt_qposadr[joint]] = mimic.ratio * leader + mimic.offset
+    joint_map.set_positions(data.qpos, qpos[model.jnt_qposadr[leaders]])
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     mujoco.mj_fullM(model, data, full)
-    return ratio.T @ full @ ratio, ratio.T @ (data.qfrc_bias - data.qfrc_gravcomp)
+    return joint_map.reduced_matrix(full), joint_map.reduced(data.qfrc_bias - data.qfrc_gravcomp)

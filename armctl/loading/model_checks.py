@@ -34,12 +34,7 @@ def check_joint_parameters(model: mujoco.MjModel) -> None:
 def check_mass_matrix(arm: Arm) -> None:
     """Refuses an arm whose mass matrix at home is singular to working precision: its accelerations cannot be computed."""
     model = arm.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = arm.home_qpos
-    mujoco.mj_fwdPosition(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    M = arm.joint_map.reduced_matrix(full)
+    M = arm.mass_matrix(arm.home)
     condition = np.linalg.cond(M) if np.isfinite(M).all() else math.inf
     if not condition < _MAX_CONDITION:
         heaviest = int(np.argmax(model.body_mass))

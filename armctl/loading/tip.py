@@ -85,15 +85,6 @@ def named_tip(model: mujoco.MjModel, name: str) -> Tip:
     raise UnknownNameError.of("site, body or geom", name, filter(None, known))
 
 
-def named_body(model: mujoco.MjModel, name: str) -> int:
-    """The number of the body of a name; UnknownNameError if there is none."""
-    instance("base", name, str, "give the name of a body")
-    body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if body < 0:
-        raise UnknownNameError.of("body", name, filter(None, (model.body(i).name for i in range(model.nbody))))
-    return body
-
-
 def _end_body(model: mujoco.MjModel, bodies: list[int]) -> int:
     """The body of a rigid piece that is named like a tip; else its end, or the body before it branches; no sensor."""
     kept = [b for b in bodies if not _SENSOR_NAME.search(body_name(model, b))] or bodies

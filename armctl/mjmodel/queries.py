@@ -5,6 +5,7 @@ import math
 import mujoco
 import numpy as np
 
+from armctl.core.errors import UnknownNameError
 from armctl.core.validation import Array
 
 # As numbers: `numpy.int32(3) in (mjtJoint.mjJNT_HINGE,)` is False, although the two compare equal with ==.
@@ -28,6 +29,22 @@ def object_id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
         return mujoco.mj_name2id(model, kind, name)
     except TypeError:  # of a text that no file can contain, such as "\ud800"
         return -1
+
+
+def body_named(model: mujoco.MjModel, name: str) -> int:
+    """The number of the body of a name; UnknownNameError if there is none."""
+    body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if body < 0:
+        raise UnknownNameError.of("body", name, filter(None, (model.body(i).name for i in range(model.nbody))))
+    return body
+
+
+def placed(model: mujoco.MjModel, qpos: Array) -> mujoco.MjData:
+    """A state of a model at positions (nq,), after forward kinematics."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return data
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:

@@ -23,6 +23,7 @@ from armctl.motion.timing.speed_bounds import TorqueRows
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.motion.trajectory.piecewise import Pieces, joints_of
 from armctl.robot.arm import Arm, check_arm
+from armctl.robot.core_model import inverse_dynamics
 from armctl.robot.passive_forces import DryFriction, PassiveForces
 
 _SAMPLE_INTERVAL_S = 0.004
@@ -177,9 +178,7 @@ class InverseDynamics:
 
     def smooth(self, q: Array, v: Array, a: Array) -> Array:
         """Without dry friction."""
-        tau = np.empty(q.shape)
-        _core.inverse_dynamics(self._model, np.ascontiguousarray(q), np.ascontiguousarray(v), np.ascontiguousarray(a), tau)
-        return tau
+        return inverse_dynamics(self._model, q, v, a)
 
     def total(self, q: Array, v: Array, a: Array) -> Array:
         """With dry friction."""

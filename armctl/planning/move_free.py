@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial, reduce
+from functools import reduce
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -228,10 +228,11 @@ def move_free_with(
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed: {seed!r:.80} is not an integer of at least 0")
     rng = np.random.default_rng(seed)
-    start_distance = _distance_at(checker, start, "start")
+    begin_distance = start_distance(checker, start)
     goals, goal_distance = _goals(space, arm, start, goal, rng)
-    clearance = min(space.clearance, 0.5 * start_distance, 0.5 * goal_distance)
-    motion_clearance = max(0.5 * clearance, min(_MIN_CLEARANCE_M, 0.5 * min(start_distance, goal_distance)))
+    end_distance = min(begin_distance, goal_distance)
+    clearance = min(space.clearance, 0.5 * end_distance)
+    motion_clearance = max(0.5 * clearance, min(_MIN_CLEARANCE_M, 0.5 * end_distance))
     motion_space = space._replace(clearance=motion_clearance)
     for configuration in goals:
         if not motion_space.line_is_free(start, configuration):
@@ -269,13 +270,11 @@ def _body(arm: Arm, name: str) -> int:
     return body
 
 
-def _distance_at(checker: CollisionChecker, q: Array, what: str) -> float:
-    """m to the nearest pair at a configuration. Raises PlanError if something touches there."""
-    pair, distance = checker.nearest(q)
-    if pair < 0:
-        return np.inf
+def start_distance(checker: CollisionChecker, start: Array) -> float:
+    """m to the nearest pair at the start. Raises PlanError if something touches there."""
+    pair, distance = checker.nearest(start)
     if distance <= 0.0:
-        raise PlanError(f"{what}: {overlap_in_words(checker, q, pair)}; move it apart or allow the contact")
+        raise PlanError(f"start: {overlap_in_words(checker, start, pair)}; move it apart or allow the contact")
     return distance
 
 
@@ -294,7 +293,7 @@ def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.ran
     distances: list[float] = []
     refusals: list[str] = []
     for candidate in _goal_list(arm, goal):
-        configurations, refusal = configurations_for(arm, start, candidate, rng, partial(_free, checker), keep)
+        configurations, refusal = configurations_for(arm, start, candidate, rng, lambda q: checker.nearest(q)[1] > 0.0, keep)
         refusals += [refusal] if refusal else []
         for q in configurations:
             if keep is not None and (tilt := _tilt(arm, q, keep)) >= keep.within:
@@ -304,9 +303,9 @@ def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.ran
                 )
                 continue
             pair, distance = checker.nearest(q)
-            if pair < 0 or distance > 0.0:
+            if distance > 0.0:
                 found.append(q)
-                distances.append(distance if pair >= 0 else np.inf)
+                distances.append(distance)
             else:
                 refusals.append(f"the goal cannot be reached without contact: {overlap_in_words(checker, q, pair)}")
     if not found:
@@ -369,11 +368,6 @@ def configurations_for(
         if free == _MAX_ROOTS:
             break
     return found, ""
-
-
-def _free(checker: CollisionChecker, q: Array) -> bool:
-    pair, distance = checker.nearest(q)
-    return pair < 0 or distance > 0.0
 
 
 def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:

@@ -17,7 +17,16 @@ from armctl.motion.move_j import move_j
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import restarted
-from armctl.planning.move_free import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, flowing_motion, overlap_in_words, shorten
+from armctl.planning.move_free import (
+    CLEARANCE_M,
+    MAX_SAMPLES,
+    FreeSpace,
+    find_path,
+    flowing_motion,
+    overlap_in_words,
+    shorten,
+    start_distance,
+)
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.robot.joint_map import JointMap
@@ -69,11 +78,9 @@ def plan_together(
     rng = np.random.default_rng(0)
     group = ArmGroup.of(list(arms.values()), speed)
     start = np.concatenate([starts[tip] for tip in arms])
-    nearest, start_distance = checker.nearest(start)
-    if nearest >= 0 and start_distance <= 0.0:
-        raise PlanError(f"start: {overlap_in_words(checker, start, nearest)}; move it apart or allow the contact")
+    begin_distance = start_distance(checker, start)
     goals, goal_distance = _goals(checker, arms, starts, solutions)
-    clearance = min(CLEARANCE_M, 0.5 * start_distance, 0.5 * goal_distance)
+    clearance = min(CLEARANCE_M, 0.5 * begin_distance, 0.5 * goal_distance)
     ends = np.cumsum([arm.n for arm in arms.values()]).tolist()
     columns = {tip: slice(end - arm.n, end) for (tip, arm), end in zip(arms.items(), ends, strict=True)}
     for goal in goals:
@@ -124,8 +131,8 @@ def _goals(
     free: list[Array] = []
     distances: list[float] = []
     for q in candidates:
-        pair, distance = checker.nearest(q)
-        if pair < 0 or distance > 0.0:
+        _, distance = checker.nearest(q)
+        if distance > 0.0:
             free.append(q)
             distances.append(distance)
         if len(free) == _MAX_ROOTS:

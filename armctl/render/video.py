@@ -7,6 +7,7 @@ import copy
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import repeat
 from pathlib import Path
 from typing import IO, Self
 
@@ -14,7 +15,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.atomic import atomic_path, file_path
-from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.errors import InputError, import_extra
 from armctl.core.log import Log
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, choice, instance, number
@@ -142,10 +143,7 @@ def film_path(path: str | os.PathLike[str], what: str = "path") -> Path:
     """The path of a film, checked before anything runs. Raises NotInstalledError if there is no encoder for it."""
     path = file_path(what, path, ENDINGS)
     if path.suffix == ".mp4":
-        try:
-            import av  # noqa: F401
-        except ImportError:
-            raise NotInstalledError.of_extra("an .mp4 needs an encoder (a .gif does not)", "view") from None
+        import_extra("av", "an .mp4 needs an encoder (a .gif does not)", "view")
     return path
 
 
@@ -283,13 +281,11 @@ def _write_gif(path: Path, frames: Iterable[Image], frames_per_second: int) -> N
 
 def _with_last_held(frames: Iterable[Image], count: int) -> Iterator[Image]:
     """The frames, of which there is at least one, and the last one again as often as given."""
-    iterator = iter(frames)
-    frame = next(iterator)
-    yield frame
-    for frame in iterator:
-        yield frame
-    for _ in range(count):
-        yield frame
+    last = None
+    for last in frames:
+        yield last
+    assert last is not None
+    yield from repeat(last, count)
 
 
 def _with_progress(path: Path, frames: Iterable[Image], count: int) -> Iterator[Image]:

@@ -23,8 +23,8 @@ from armctl.core.tables import Table
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.mjmodel.edit import add_point_mass
 from armctl.robot.actuation import Actuation
-from armctl.robot.core_model import core_model, tips
-from armctl.robot.dynamics import Dynamics
+from armctl.robot.core_model import tips
+from armctl.robot.dynamics import Dynamics, core_model
 from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 

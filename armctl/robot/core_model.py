@@ -1,23 +1,42 @@
 """The model of an arm for the compiled core."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.core.errors import ModelError
 from armctl.core.validation import Array
-from armctl.robot.dynamics import Dynamics, Integrator
-from armctl.robot.passive_forces import DryFriction, PassiveForces
+from armctl.robot.passive_forces import DryFriction, PassiveForces, is_enabled
 from armctl.robot.pinocchio_model import PinocchioModel
 
 # Of a (3, 3) inertia: xx yy zz xy xz yz.
 _INERTIA_ROWS = [0, 1, 2, 0, 0, 1]
 _INERTIA_COLUMNS = [0, 1, 2, 1, 2, 2]
 
-_TOLERANCE = 1e-9  # relative, as between Pinocchio and MuJoCo
-_CHECKED_STATES = 3
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Integrator:
+    """Which forces MuJoCo's integrator evaluates at the velocity at the end of a step.
+
+    Source: MuJoCo documentation, Computation, "Numerical integration".
+    """
+
+    implicit_damping: bool  # joint damping: Euler (unless `eulerdamp` is disabled), implicitfast and implicit
+    implicit_coriolis: bool  # coriolis and centrifugal forces: implicit
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> Integrator:
+        kind = mujoco.mjtIntegrator(model.opt.integrator)
+        euler_damp = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+        explicit_euler = kind == mujoco.mjtIntegrator.mjINT_EULER and not euler_damp
+        return cls(
+            implicit_damping=kind != mujoco.mjtIntegrator.mjINT_RK4 and not explicit_euler,
+            implicit_coriolis=kind == mujoco.mjtIntegrator.mjINT_IMPLICIT,
+        )
 
 
 def model_arrays(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> dict[str, Any]:
@@ -66,16 +85,6 @@ def model_arrays(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> dict
     }
 
 
-def core_model(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> _core.ArmModel:
-    """The model of an arm for the compiled core, in continuous time; `for_period` makes that of a control period.
-
-    ModelError if the core's dynamics differ from Pinocchio's.
-    """
-    core = _core.ArmModel(**model_arrays(model, pinocchio_model))
-    _check(core, Dynamics(model, pinocchio_model), pinocchio_model)
-    return core
-
-
 def tips(core: _core.ArmModel, q: Array) -> tuple[Array, Array]:
     """Positions (T, 3) m and rotation matrices (T, 3, 3) of the tip in the world at each row of q (T, n)."""
     positions = np.empty((len(q), 3))
@@ -84,31 +93,15 @@ def tips(core: _core.ArmModel, q: Array) -> tuple[Array, Array]:
     return positions, rotations
 
 
+def inverse_dynamics(core: _core.ArmModel, q: Array, v: Array, a: Array) -> Array:
+    """The torques at many states, each (T, n), without dry friction."""
+    tau = np.empty(q.shape)
+    _core.inverse_dynamics(core, np.ascontiguousarray(q), np.ascontiguousarray(v), np.ascontiguousarray(a), tau)
+    return tau
+
+
 def quaternions(rotations: Array) -> Array:
     """The unit quaternions (T, 4), wxyz with w >= 0, of rotation matrices (T, 3, 3)."""
     quats = np.empty((len(rotations), 4))
     _core.quaternions(rotations, quats)
     return quats
-
-
-def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioModel) -> None:
-    n = core.n
-    tau = np.zeros(n)
-    M = np.zeros((n, n))
-    J = np.zeros((6, n))
-    rng = np.random.default_rng(0)
-    for _ in range(_CHECKED_STATES):
-        q, v, a = rng.uniform(-1.0, 1.0, (3, n))
-        _core.inverse_dynamics(core, q[None], v[None], a[None], tau[None])
-        _core.mass_matrices(core, q[None], M.reshape(1, -1))
-        _core.tip_jacobians(core, q[None], J.reshape(1, -1))
-        pairs = {
-            "inverse dynamics": (tau, dynamics.inverse_dynamics(q, v, a)),
-            "mass matrix": (M, dynamics.mass_matrix(q)),
-            "tip Jacobian": (J, pinocchio_model.jacobian(q)),
-            "tip position": (tips(core, q[None])[0][0], pinocchio_model.tip(q)[0]),
-        }
-        for what, (result, reference) in pairs.items():
-            error = float(np.abs(result - reference).max() / max(1.0, np.abs(reference).max()))
-            if not error <= _TOLERANCE:
-                raise ModelError(f"the core's {what} differs by {error:.2g} from Pinocchio's (at most {_TOLERANCE:g})")

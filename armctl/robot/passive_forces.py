@@ -64,10 +64,6 @@ class PassiveForces:
             return self.damping * v
         return v * (self.damping + self.quadratic_damping * np.abs(v) + self.cubic_damping * v * v)
 
-    def nonlinear_damping_slope(self, v: Array) -> Array:
-        """Derivative of the damping torque by v without its linear part, (n,) N m s/rad."""
-        return 2 * self.quadratic_damping * np.abs(v) + 3 * self.cubic_damping * v * v
-
     def spring_torque(self, q: Array) -> Array:
         """x (k0 + k1 x + k2 x^2) with x the distance from the spring's rest position, (n,) N m."""
         x = self._joint_map.positions(q) - self.rest

@@ -8,12 +8,12 @@ from typing import Any
 import mujoco
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.validation import Array, instance, number, shown
-from armctl.mjmodel.queries import object_id
+from armctl.mjmodel.queries import body_named
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.move import ControlledArms
@@ -125,9 +125,7 @@ def _target_function(model: mujoco.MjModel, data: mujoco.MjData, target: MovingT
         return called
     if not isinstance(target, str):
         raise InputError(f"target: {shown(target)} is neither the name of a body nor a function of the time")
-    body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, target)
-    if body < 0:
-        raise UnknownNameError.of("body", target, [model.body(i).name for i in range(1, model.nbody)])
+    body = body_named(model, target)
 
     def position(_: float) -> Array:
         mujoco.mj_kinematics(model, data)

@@ -16,11 +16,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, instance, integer, matrix, number, vector
-from armctl.mjmodel.queries import object_id
+from armctl.mjmodel.queries import body_named, placed
 from armctl.motion.torque_limits import InverseDynamics
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import hermite
@@ -164,9 +164,7 @@ class MPPI:
         model.actuator_gainprm[self._servos, 0] = self._stiffness
         model.actuator_biasprm[self._servos, 1] = -self._stiffness
         model.actuator_biasprm[self._servos, 2] = -2.0 * self._stiffness / _SERVO_BANDWIDTH
-        data = mujoco.MjData(model)
-        data.qpos[:] = arm.qpos(arm.home)
-        mujoco.mj_kinematics(model, data)
+        data = placed(model, arm.qpos(arm.home))
         mujoco.mj_comPos(model, data)
         mujoco.mj_transmission(model, data)
         self._length = data.actuator_length[self._servos] - self._gear * arm.home  # at q = 0, by a linear transmission
@@ -384,7 +382,7 @@ class _PushCost:
         self.body = body
         self.goal = goal
         _free_joint(model, body)
-        self.radius = float(model.geom_rbound[model.geom_bodyid == object_id(model, mujoco.mjtObj.mjOBJ_BODY, body)].max())
+        self.radius = float(model.geom_rbound[model.geom_bodyid == body_named(model, body)].max())
 
     def errors(self, position: Array, quat: Array) -> tuple[Array, Array]:
         """The distances, m, and angles, rad, of poses (..., 3) and (..., 4) from the goal."""
@@ -404,10 +402,7 @@ class _PushCost:
 
 def _free_joint(model: mujoco.MjModel, body: str) -> int:
     instance("body", body, str, "such as 'box'")
-    found = object_id(model, mujoco.mjtObj.mjOBJ_BODY, body)
-    if found < 0:
-        raise UnknownNameError.of("body", body, [model.body(i).name for i in range(1, model.nbody)])
-    joint = int(model.body_jntadr[found])
+    joint = int(model.body_jntadr[body_named(model, body)])
     if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
         raise InputError(f"body: {body!r:.80} is not loose; give it a mass in the scene")
     return int(model.jnt_qposadr[joint])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armctl.core.atomic import atomic_path, file_path
-from armctl.core.errors import ArmctlError, InputError, NotInstalledError, UnknownNameError
+from armctl.core.errors import ArmctlError, InputError, UnknownNameError, import_extra
 from armctl.core.file_reading import pyarrow, read_parquet, reading
 from armctl.core.log import Log
 from armctl.core.result import Verdict
@@ -75,11 +75,7 @@ class StudyResult(Verdict):
         Raises:
             NotInstalledError: The extra `study` is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise NotInstalledError.of_extra("to_pandas needs pandas", "study") from None
-        return pandas.DataFrame(self.table())
+        return import_extra("pandas", "to_pandas needs pandas", "study").DataFrame(self.table())
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes the table and the definition of the study as .parquet, which `load` reads, or the table as .csv. Atomic.

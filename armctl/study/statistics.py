@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, floor, inf, isfinite, nan
+from math import ceil, floor, inf, nan
 
 import numpy as np
 
@@ -28,10 +28,6 @@ class Estimate:
 
     def scaled(self, factor: float) -> Estimate:
         return Estimate(factor * self.value, factor * self.low, factor * self.high)
-
-    def to_dict(self) -> dict[str, float | None]:
-        """For JSON; what is not finite is None."""
-        return {name: value if isfinite(value) else None for name, value in vars(self).items()}
 
 
 def success(ok: BoolArray) -> Estimate:

@@ -1,12 +1,13 @@
 """StudySummary: the controllers of a study side by side."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from armctl.core.errors import InputError
+from armctl.core.json_values import json_value
 from armctl.core.result import Verdict
 from armctl.core.tables import Table
 from armctl.core.validation import Array
@@ -65,17 +66,7 @@ class StudySummary(Verdict):
 
     def to_dict(self) -> dict[str, object]:
         """All figures for JSON; what is not finite is None."""
-        controllers = [
-            {
-                "controller": each.controller,
-                "runs": each.runs,
-                "completed": each.completed,
-                "success": each.success.to_dict(),
-                "medians": {name: value.to_dict() for name, value in each.medians.items()},
-                "differences": {name: value.to_dict() for name, value in each.differences.items()},
-            }
-            for each in self.controllers
-        ]
+        controllers = json_value([asdict(each) for each in self.controllers])
         return {"ok": self.ok, "reason": self.reason, "name": self.name, "controllers": controllers}
 
 

@@ -15,8 +15,8 @@ from armctl.analysis.iso9283_figures import (
     orientation,
     path_speed,
     posing_time,
-    rotation_vectors,
     stabilisation,
+    turn_between,
 )
 
 
@@ -56,8 +56,8 @@ def test_orientation_by_hand():
 def test_a_rotation_vector_points_from_the_reference_to_the_attained_orientation():
     pose = armctl.Pose([0, 0, 0], rpy=[0.3, -0.2, 0.1])
     turned = armctl.Pose([0, 0, 0], rpy=[0.0, 0.0, 0.02]) @ pose
-    assert rotation_vectors(turned.quat, pose.quat) == pytest.approx([0.0, 0.0, 0.02])
-    assert rotation_vectors(-turned.quat, pose.quat) == pytest.approx([0.0, 0.0, 0.02])
+    assert turn_between(pose.quat, turned.quat) == pytest.approx([0.0, 0.0, 0.02])
+    assert turn_between(pose.quat, -turned.quat) == pytest.approx([0.0, 0.0, 0.02])
 
 
 def test_distance_and_drift_by_hand():

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from pinocchio_step import PinocchioStep
 
 import armctl
 from armctl import _core
-from armctl.robot.core_model import core_model
-from armctl.robot.dynamics import Dynamics
+from armctl.robot.dynamics import Dynamics, core_model
 
 pytestmark = pytest.mark.core
 
@@ -39,16 +39,17 @@ def test_torques_in_continuous_time_are_those_of_pinocchio(arm: armctl.Arm, refe
         assert_equal(tau, reference.inverse_dynamics(q, v, a))
 
 
-def test_torques_of_a_step_are_those_of_pinocchio_with_implicit_forces(arm: armctl.Arm, reference: Dynamics):
+def test_torques_of_a_step_are_those_of_pinocchio_with_implicit_forces(arm: armctl.Arm):
+    reference = PinocchioStep(arm, DT)
     model = core_model(arm.model, arm.pinocchio_model).for_period(DT, False)
     feedforward = _core.PDFeedforward(model, stiffness=np.zeros(arm.n), damping=np.zeros(arm.n))
     tau = np.zeros(arm.n)
     for q, v, a in states(arm):
         _core.inverse_dynamics(model, q[None], v[None], a[None], tau[None])
-        assert_equal(tau, reference.discrete_inverse_dynamics(q, v, a, DT))
+        assert_equal(tau, reference.inverse_dynamics(q, v, a))
         with_friction = np.zeros(arm.n)
         feedforward.torque(q, v, np.array([q, v, a, v, a]), np.zeros(0), with_friction)
-        assert_equal(with_friction - tau, reference.discrete_friction(q, v, a, DT))
+        assert_equal(with_friction - tau, reference.friction(q, v, a))
 
 
 def test_torques_of_a_continuous_motion_are_those_in_the_middle_of_the_period(arm: armctl.Arm, reference: Dynamics):

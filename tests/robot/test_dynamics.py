@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import mujoco
 import numpy as np
 import pytest
+from pinocchio_step import PinocchioStep
 from synthetic import TIED, limb, mjcf, motors, ties
 
 import armctl
@@ -56,7 +57,8 @@ def test_dry_friction_is_mujocos(arm: Arm):
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 30, seed=1):
         expected = mujoco_inverse(arm, q, v, a, friction=True)
-        ours = dynamics.discrete_inverse_dynamics(q, v, a, arm.dt) + dynamics.discrete_friction(q, v, a, arm.dt)
+        friction = dynamics.friction(v, dynamics.explicit_acceleration(q, v, a, arm.dt))
+        ours = dynamics.discrete_inverse_dynamics(q, v, a, arm.dt) + friction
         assert np.allclose(ours, expected, rtol=1e-9, atol=0.01 * dynamics.friction_loss.max() + 1e-9)
 
 
@@ -153,7 +155,8 @@ def test_dry_friction_has_the_stiffness_of_its_constraint(tmp_path, solref: str)
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 30, seed=12):
         expected = mujoco_inverse(arm, q, v, a, friction=True)
-        ours = dynamics.discrete_inverse_dynamics(q, v, a, arm.dt) + dynamics.discrete_friction(q, v, a, arm.dt)
+        friction = dynamics.friction(v, dynamics.explicit_acceleration(q, v, a, arm.dt))
+        ours = dynamics.discrete_inverse_dynamics(q, v, a, arm.dt) + friction
         assert np.allclose(ours, expected, rtol=1e-9, atol=0.004)
 
 
@@ -179,13 +182,14 @@ def test_discrete_inverse_dynamics_does_not_depend_on_earlier_calls(bundled: Arm
             fresh = Dynamics(bundled.model, bundled.pinocchio_model)
             assert np.array_equal(shared.discrete_inverse_dynamics(q, v, a, dt), fresh.discrete_inverse_dynamics(q, v, a, dt))
             assert np.array_equal(shared.inverse_dynamics(q, v, a), fresh.inverse_dynamics(q, v, a))
-            assert np.array_equal(shared.discrete_friction(q, v, a, dt), fresh.discrete_friction(q, v, a, dt))
+            assert np.array_equal(shared.explicit_acceleration(q, v, a, dt), fresh.explicit_acceleration(q, v, a, dt))
 
 
 def test_without_a_time_step_the_discrete_inverse_is_the_continuous_one(bundled: Arm):
     dynamics = Dynamics(bundled.model, bundled.pinocchio_model)
     for q, v, a in states(bundled, 5, seed=7):
-        assert np.array_equal(dynamics.discrete_inverse_dynamics(q, v, a, 0.0), dynamics.inverse_dynamics(q, v, a))
+        expected = dynamics.inverse_dynamics(q, v, a)
+        assert dynamics.discrete_inverse_dynamics(q, v, a, 0.0) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
 # ---- the public functions of an arm, against MuJoCo
@@ -330,19 +334,20 @@ class Compiled:
 
 def check_compiled(arm: Arm) -> None:
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    step = PinocchioStep(arm, 0.003)
     for q, v, a in states(arm, 5, seed=14):
         discrete = Compiled(arm, 0.003, False)
         continuous = Compiled(arm, 0.003, True)
         friction = dynamics.friction(v + 0.0015 * a, a)
         expected = {
-            "discrete step": (discrete.inverse_dynamics(q, v, a), dynamics.discrete_inverse_dynamics(q, v, a, 0.003)),
+            "discrete step": (discrete.inverse_dynamics(q, v, a), step.inverse_dynamics(q, v, a)),
             "middle of the period": (
                 continuous.inverse_dynamics(q, v, a),
                 dynamics.inverse_dynamics(q + 0.0015 * v, v + 0.0015 * a, a),
             ),
             "no period": (Compiled(arm, 0.0, False).inverse_dynamics(q, v, a), dynamics.inverse_dynamics(q, v, a)),
             "gravity": (discrete.gravity(q), dynamics.gravity(q)),
-            "friction of a step": (discrete.friction(q, v, a), dynamics.discrete_friction(q, v, a, 0.003)),
+            "friction of a step": (discrete.friction(q, v, a), step.friction(q, v, a)),
             "friction of a continuous arm": (continuous.friction(q, v, a), friction),
         }
         for what, (compiled, reference) in expected.items():

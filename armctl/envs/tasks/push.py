@@ -1,6 +1,5 @@
 """Push: push an object on a table to a goal on the table."""
 
-import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
@@ -8,7 +7,7 @@ from armctl.envs.tasks.interface import ArmSource, Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
 from armctl.envs.tasks.tool import find_grip, find_tool
 from armctl.ik.problem import ik_chain
-from armctl.robot.arm import Arm
+from armctl.mjmodel.queries import placed
 
 _RADIUS = 0.04  # of the object, in reaches
 _SHARE_OF_TOOL = 0.65  # of the radius of the tool, at least: an object does not fit between the fingers of a hand
@@ -43,7 +42,7 @@ class Push(Task):
             self.grip = find_grip(alone)
             tool = find_tool(alone, [self.grip.closed])
         except ModelError:  # no gripper
-            tool = find_tool(alone, [_home(alone)])
+            tool = find_tool(alone, [placed(alone.model, alone.home_qpos)])
         self.radius = max(_RADIUS * ik_chain(alone).reach, _SHARE_OF_TOOL * tool.radius)  # m, of the object
         margin = self.radius + tool.radius + BEHIND
         self.height = min(_MAX_HEIGHT, _HEIGHT_SHARE * self.radius)  # m, of the object
@@ -61,10 +60,3 @@ class Push(Task):
         while np.linalg.norm(place - self.goals[goal, 0]) < min(_MIN_WAY, self.table.radius):
             place = self.table.place(rng, 0.5 * self.height)
         return Episode(self.start(rng, _START_SPREAD), goal, object=place)
-
-
-def _home(arm: Arm) -> mujoco.MjData:
-    data = mujoco.MjData(arm.model)
-    data.qpos[:] = arm.home_qpos
-    mujoco.mj_kinematics(arm.model, data)
-    return data

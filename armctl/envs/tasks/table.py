@@ -17,6 +17,7 @@ from armctl.envs.tasks.tool import Tool
 from armctl.ik.problem import ik_chain
 from armctl.ik.solve import solve_ik
 from armctl.loading.scene import Scene
+from armctl.mjmodel.queries import placed
 from armctl.robot.arm import Arm
 
 # Candidates: radius of the area in which objects and goals are, height and distance from the first joint, in reaches; rad from
@@ -102,10 +103,7 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
     object of a height. Lengths are in m.
     """
     reach = ik_chain(arm).reach
-    data = mujoco.MjData(arm.model)
-    data.qpos[:] = arm.qpos(arm.home)
-    mujoco.mj_kinematics(arm.model, data)
-    base = data.xanchor[arm.joint_map.joints[0]]
+    base = placed(arm.model, arm.qpos(arm.home)).xanchor[arm.joint_map.joints[0]]
     ahead = arm.fk(arm.home).position - base
     heading = float(np.arctan2(ahead[1], ahead[0]))
     has_ground = base[2] > 0.0

@@ -7,7 +7,6 @@ result is the timing on a finer grid. Bounds that are still exceeded between the
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -36,6 +35,7 @@ _LEAST_SQUARED_SPEED = 1e-12  # of the path speed at a node: rounding of the spl
 _MIN_DIP = 1e-2  # of the smaller squared speed at the ends of an interval
 # Torques vary between grid nodes. Above this share of a limit they are also checked between the nodes.
 _TORQUE_SHARE_CHECKED_BETWEEN_NODES = 0.8
+_QUADRATURE = np.polynomial.legendre.leggauss(5)  # points in [-1, 1] and weights of Gauss and Legendre's rule
 _MAX_END_SPEED_CHANGE = 0.02  # relative, of the squared path speed in the first and in the last interval
 
 
@@ -363,7 +363,7 @@ def _squared_speed(c: Array, h: float, m: IntArray, x: Array) -> tuple[Array, Ar
 
 def _durations(c: Array, h: float, places: _Places) -> Array:
     """The times from node to node: the integral of 1/w, by Gauss and Legendre's rule."""
-    x, weight = _quadrature()
+    x, weight = _QUADRATURE
     m = places.interval
     share = places.end - places.begin
     b, _ = _squared_speed(c, h, m[:, None], places.begin[:, None] + 0.5 * share[:, None] * (x + 1))
@@ -371,9 +371,3 @@ def _durations(c: Array, h: float, places: _Places) -> Array:
     # The solver keeps b positive at nodes and middles only. Between them it can dip below 0 where limits are extreme.
     b = np.maximum(b, _MIN_DIP * np.minimum(*ends)[:, None])
     return 0.5 * h * share * ((1 / np.sqrt(b)) @ weight)
-
-
-@cache
-def _quadrature() -> tuple[Array, Array]:
-    """Points in [-1, 1] and weights of Gauss and Legendre's rule."""
-    return np.polynomial.legendre.leggauss(5)

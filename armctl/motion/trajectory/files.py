@@ -107,29 +107,19 @@ def save_table(path: str | os.PathLike[str], joint_names: Sequence[str], times: 
     return file
 
 
-class Curves(NamedTuple):
-    """What a plot shows: samples at times (T,), and the jerk (T, n)."""
-
-    times: Array
-    samples: Samples
-    jerk: Array
-
-
-def plot(
-    curves: Curves, joint_names: Sequence[str], joint_units: Sequence[str], limits: Limits, path: str | os.PathLike[str] | None
-) -> object:
-    """Matplotlib's figure of position, velocity, acceleration and jerk of every joint, saved if there is a path."""
+def plot(content: Content, times: Array, samples: Samples, jerk: Array, path: str | os.PathLike[str] | None) -> object:
+    """Matplotlib's figure of position, velocity, acceleration and jerk (T, n) of every joint, saved if there is a path."""
     from matplotlib.figure import Figure
 
     rows = (
-        (f"position, {units.label(tuple(joint_units))}", curves.samples.q),
-        ("velocity / limit", curves.samples.v / limits.v_max),
-        ("acceleration / limit", curves.samples.a / limits.a_max),
-        ("jerk / limit", curves.jerk / limits.j_max),
+        (f"position, {units.label(content.units)}", samples.q),
+        ("velocity / limit", samples.v / content.limits.v_max),
+        ("acceleration / limit", samples.a / content.limits.a_max),
+        ("jerk / limit", jerk / content.limits.j_max),
     )
     figure = Figure(figsize=(8, 9), layout="constrained")
     for axes, (label, values) in zip(figure.subplots(len(rows), 1, sharex=True), rows, strict=True):
-        axes.plot(curves.times, values, label=joint_names)
+        axes.plot(times, values, label=content.joint_names)
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
     figure.axes[0].legend(ncols=4, fontsize="small")

@@ -242,9 +242,7 @@ class JointTrajectory:
             InputError: The name has another suffix.
             ArmctlError: The file cannot be written.
         """
-        slowed = () if self.slowed is None else (self.slowed.factor, self.slowed.joint, self.slowed.torque_ratio)
-        texts = tuple(str(value) for value in slowed)
-        return files.save(path, files.Content(self.pieces, self.joint_names, self.units, self.limits, texts))
+        return files.save(path, self._content)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> JointTrajectory:
@@ -333,8 +331,13 @@ class JointTrajectory:
             ArmctlError: The file cannot be written.
         """
         times = self._times(max(self.duration / _PLOT_SAMPLES, 1e-9))
-        curves = files.Curves(times, Samples(*self.sample(times)[:3]), self.jerk(times))
-        return files.plot(curves, self.joint_names, self.units, self.limits, path)
+        return files.plot(self._content, times, Samples(*self.sample(times)[:3]), self.jerk(times), path)
+
+    @property
+    def _content(self) -> files.Content:
+        slowed = () if self.slowed is None else (self.slowed.factor, self.slowed.joint, self.slowed.torque_ratio)
+        texts = tuple(str(value) for value in slowed)
+        return files.Content(self.pieces, self.joint_names, self.units, self.limits, texts)
 
     def _table_times(self, dt: float) -> Array:
         """Times of the rows of a table, as many as are sensible in a file."""

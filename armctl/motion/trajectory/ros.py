@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armctl.core.atomic import file_path, write_text
-from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.errors import InputError, import_extra
 from armctl.core.file_reading import read_bytes, reading
 from armctl.core.validation import Array, integer, number, shown, vector
 from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, standing
@@ -67,11 +67,7 @@ def _first_document(text: str) -> Any:
 
 
 def _yaml() -> Any:
-    try:
-        import yaml
-    except ImportError:
-        raise NotInstalledError.of_extra("YAML files need PyYAML", "ros") from None
-    return yaml
+    return import_extra("yaml", "YAML files need PyYAML", "ros")
 
 
 def waypoints(content: object) -> Waypoints:

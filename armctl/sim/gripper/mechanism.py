@@ -8,6 +8,7 @@ import numpy as np
 
 from armctl.core.validation import Array, IntArray
 from armctl.mjmodel.transmissions import Transmission, Transmissions
+from armctl.robot.joint_map import JointMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,32 +16,25 @@ class Mechanism:
     """What each actuator of a gripper moves: one transmission for each, led by the joint that it acts on, if any."""
 
     transmissions: tuple[Transmission, ...]
+    joint_map: JointMap  # how the leading joints move all others
 
     @property
     def followers(self) -> list[int]:
         """The joints that follow another at a fixed ratio."""
-        return [joint for transmission in self.transmissions for joint in transmission.coupled if joint != transmission.joint]
+        return np.delete(self.joint_map.joints, self.joint_map.leaders).tolist()
 
     def inertia(self, model: mujoco.MjModel) -> Array:
         """(actuators,) kg m^2 (kg): the inertia of all that each actuator moves, at the speed of its leading joint."""
-        return np.array(
-            [
-                sum(
-                    mimic.ratio**2 * float(model.dof_M0[model.jnt_dofadr[joint]])
-                    for joint, mimic in transmission.coupled.items()
-                )
-                for transmission in self.transmissions
-            ]
-        )
+        return (self.joint_map.ratio**2 * model.dof_M0[self.joint_map.dof_adr, None]).sum(axis=0)
 
     def placed(self, model: mujoco.MjModel, start: mujoco.MjData, ctrl: Array) -> mujoco.MjData:
         """The gripper where servos without load hold it, within the ranges of its joints; other joints are as in `start`."""
         data = copy.copy(start)
-        for transmission, command in zip(self.transmissions, ctrl, strict=True):
-            low, high = _leader_range(model, transmission)
-            leader = float(np.clip(_leader_at(model, transmission, float(command)), low, high))
-            for joint, mimic in transmission.coupled.items():
-                data.qpos[model.jnt_qposadr[joint]] = mimic.ratio * leader + mimic.offset
+        leaders = [
+            np.clip(_leader_at(model, transmission, float(command)), *_leader_range(model, transmission))
+            for transmission, command in zip(self.transmissions, ctrl, strict=True)
+        ]
+        self.joint_map.set_positions(data.qpos, np.array(leaders))
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_tendon(model, data)
@@ -61,7 +55,8 @@ def find_mechanism(model: mujoco.MjModel, dofs: IntArray, actuators: tuple[int, 
             found[transmission.actuator] = transmission
     if not set(actuators) <= found.keys() or any(analysis.coupling_reason(joint) for joint in free):
         return None
-    return Mechanism(tuple(found[actuator] for actuator in actuators))
+    transmissions = tuple(found[actuator] for actuator in actuators)
+    return Mechanism(transmissions, JointMap.from_transmissions(model, (), transmissions))
 
 
 def _leader_at(model: mujoco.MjModel, transmission: Transmission, ctrl: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.mjmodel.couplings import dofs_of_tendon
-from armctl.mjmodel.queries import actuator_name, is_below, is_on_joint, welded_behind
+from armctl.mjmodel.queries import actuator_name, is_below, is_on_joint, placed, welded_behind
 from armctl.robot.arm import Arm
 from armctl.sim.gripper.jaws import Jaws, find_jaws
 from armctl.sim.gripper.mechanism import find_mechanism
@@ -75,8 +75,7 @@ def find_gripper_model(arm: Arm) -> GripperModel:
     model = _alone(arm, bodies, dofs, actuators, inertia)
     ends = [model.actuator_ctrlrange[a] for a in actuators]
     corners = [np.array(corner) for corner in product(*ends)]
-    home = mujoco.MjData(model)
-    home.qpos[:] = arm.home_qpos
+    home = placed(model, arm.home_qpos)
 
     def at(ctrl: Array, start: mujoco.MjData) -> mujoco.MjData:
         if mechanism is not None:

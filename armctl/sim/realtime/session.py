@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -266,17 +267,23 @@ class RealTimeSession:
         self._status = replace(
             self._status,
             activity=self._activity(self._status.position_error, at_rest=False, arrived=False),
-            failure=self._failure or self._stepper.failure,
-            target=self._follower.target,
-            oriented=self._follower.oriented,
-            joint_control=self._follower.joint_control,
-            avoiding=self._follower.avoiding,
-            speed_override=self._speed_override,
-            controller=self._controller_name,
-            payload=self._payload,
-            paused=self._paused,
-            speed=self._clock.speed,
+            **self._settings(),
         )
+
+    def _settings(self) -> dict[str, Any]:
+        """The attributes of the status that change without time."""
+        return {
+            "failure": self._failure or self._stepper.failure,
+            "target": self._follower.target,
+            "oriented": self._follower.oriented,
+            "joint_control": self._follower.joint_control,
+            "avoiding": self._follower.avoiding,
+            "speed_override": self._speed_override,
+            "controller": self._controller_name,
+            "payload": self._payload,
+            "paused": self._paused,
+            "speed": self._clock.speed,
+        }
 
     def _command(self, kind: str, command: Callable[[], None]) -> None:
         with self._commands_lock:
@@ -345,26 +352,17 @@ class RealTimeSession:
                 at_rest=bool(np.abs(state.v).max() < AT_REST_SPEED),
                 arrived=bool(np.abs(q_ref - follower.joint_goal).max() < _REFERENCE_ARRIVED) and follower.reference.is_at_rest,
             ),
-            failure=self._failure or stepper.failure,
             position_error=position_error,
             reach_error=follower.reach_error,
             refusal=follower.refusal,
             path=follower.path,
             contacts=frozen(contact_forces(stepper.model, stepper.data)),
-            target=follower.target,
-            oriented=follower.oriented,
-            joint_control=follower.joint_control,
-            avoiding=follower.avoiding,
-            speed_override=self._speed_override,
             q=frozen(state.q.copy()),
             qpos=frozen(stepper.data.qpos.copy()),
-            controller=self._controller_name,
-            payload=self._payload,
             gripper_width=None if self._gripper is None else self._gripper.width,
-            paused=self._paused,
             elapsed=self._elapsed,
-            speed=self._clock.speed,
             real_time_factor=self._clock.real_time_factor,
+            **self._settings(),
         )
 
     def _activity(self, position_error: float, *, at_rest: bool, arrived: bool) -> Activity:
