@@ -68,7 +68,7 @@ class TargetControls:
             self._position = gui.add_vector3("position, m", _rounded(status.target.position), step=0.001)
             self._rpy = gui.add_vector3("roll, pitch, yaw, rad", _rounded(status.target.rpy), step=0.001)
             oriented = gui.add_checkbox("orientation counts", status.oriented)
-            undo = gui.add_button("undo", hint="the target where it was before it was moved last")
+            undo = gui.add_button_group("last move", ("undo",), hint="the target where it was before it")
             axes = gui.add_dropdown("axes", (_WORLD_AXES, _TOOL_AXES), initial_value=_WORLD_AXES, hint="of handles and jog")
         with gui.add_folder("Jog", expand_by_default=False):
             step_mm = gui.add_slider("step, mm", 1.0, _MAX_STEP_MM, 1.0, _STEP_MM)

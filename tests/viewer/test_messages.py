@@ -194,7 +194,7 @@ def test_jog_buttons_move_the_target_along_tool_or_world_axes_and_undo_takes_it_
     client.set(page, "move", "up")  # no such button
     for _ in range(3):
         previous = page.session.status.target
-        client.set(page, "undo", True)
+        client.set(page, "last move", "undo")
         until(lambda previous=previous: page.session.status.target is not previous, "nothing is undone")
     assert np.allclose(page.session.status.target.matrix, start.matrix)
     client.set(page, "axes", "tool")
