@@ -112,7 +112,11 @@ private:
             if (lower <= -unbounded && upper >= unbounded) { continue; }
             tolerances_[row] = rounding;
             set_row(program, row, normals_.row(row));
-            forward_substitute(factor_, normals_.row(row), row < n_ ? row : 0);
+            if (row < n_) {
+                forward_substitute(factor_, normals_.row(row), row);
+            } else {
+                forward_substitute(factor_, normals_.row(row));
+            }
             const double scale = 1.0 / std::sqrt(dot(normals_.row(row), normals_.row(row)));
             for (double& number : normals_.row(row)) { number *= scale; }
             low_[row] = scale * lower;
