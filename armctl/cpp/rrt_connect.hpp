@@ -49,7 +49,7 @@ public:
     size_t grow(Matrix samples) {
         for (size_t taken = 0; taken < samples.rows; ++taken) {
             if (trees_[side_].size() > trees_[1 - side_].size()) { side_ = 1 - side_; }
-            const std::optional<size_t> added = extend(trees_[side_], samples.row(taken));
+            const std::optional<size_t> added = extend(trees_[side_], nearest(trees_[side_], samples.row(taken)), samples.row(taken));
             if (!added) { continue; }
             const std::optional<size_t> met = connect(trees_[1 - side_], trees_[side_][*added].q);
             if (met) {
@@ -110,44 +110,34 @@ private:
         return best;
     }
 
-    // A new node on the way from the nearest node to a sample, or none.
-    std::optional<size_t> extend(Tree& tree, Vector sample) {
-        const size_t near = nearest(tree, sample);
-        const double distance = joint_distance(sample, tree[near].q);
+    // A new node on the way from a node to a configuration, at most a step away, or none. Nodes before the
+    // configuration are projected where an axis keeps its direction.
+    std::optional<size_t> extend(Tree& tree, size_t node, Vector goal) {
+        const Configuration& start = tree[node].q;
+        const double distance = joint_distance(goal, start);
         const bool is_full = std::max(trees_[FROM_START].size(), trees_[FROM_GOALS].size()) >= capacity_;
         if (distance < SAME_CONFIGURATION_RAD || is_full) { return std::nullopt; }
-        const bool is_level = step_towards(tree[near].q, sample, std::min(1.0, step_ / distance));
-        if (!is_level || !edge_is_free(tree[near].q, trial_)) { return std::nullopt; }
-        return add(tree, trial_, near);
+        trial_.assign(goal.begin(), goal.end());
+        if (distance > step_ * (1.0 + ROUNDING)) {
+            for (size_t i = 0; i < n(); ++i) { trial_[i] = start[i] + step_ / distance * (goal[i] - start[i]); }
+            if (keep() && !level(trial_)) { return std::nullopt; }
+        }
+        if (!edge_is_free(start, trial_)) { return std::nullopt; }
+        return add(tree, trial_, node);
     }
 
     // Grows a tree step by step to a configuration. Returns its node there, or none if something is in the way.
     std::optional<size_t> connect(Tree& tree, Vector goal) {
-        size_t node = nearest(tree, goal);
-        double distance = joint_distance(goal, tree[node].q);
-        while (tree.size() < capacity_) {
-            const double steps = std::max(1.0, std::ceil(distance / step_ - ROUNDING));
-            const bool is_last = steps == 1.0;
-            if (is_last) {
-                trial_.assign(goal.begin(), goal.end());
-            } else if (!step_towards(tree[node].q, goal, 1.0 / steps)) {
-                return std::nullopt;
-            }
-            const double remaining = joint_distance(trial_, goal);
-            if (!is_last && remaining > distance - MIN_PROGRESS * step_) { return std::nullopt; }
-            if (!edge_is_free(tree[node].q, trial_)) { return std::nullopt; }
+        std::optional<size_t> node = nearest(tree, goal);
+        double distance = joint_distance(goal, tree[*node].q);
+        while (distance >= SAME_CONFIGURATION_RAD) {
+            node = extend(tree, *node, goal);
+            if (!node) { return std::nullopt; }
+            const double remaining = joint_distance(goal, tree[*node].q);
+            if (remaining > 0.0 && remaining > distance - MIN_PROGRESS * step_) { return std::nullopt; }
             distance = remaining;
-            node = add(tree, trial_, node);
-            if (is_last) { return node; }
         }
-        return std::nullopt;
-    }
-
-    // Writes a configuration on the way to another into `trial_`, projected where an axis keeps its direction. Returns if it could.
-    bool step_towards(Vector start, Vector goal, double share) {
-        trial_.resize(n());
-        for (size_t i = 0; i < trial_.size(); ++i) { trial_[i] = start[i] + share * (goal[i] - start[i]); }
-        return !keep() || level(trial_);
+        return node;
     }
 
     // Whether the straight line between two configurations, (n,), is proved. To check its end first decides most of them at a tenth
