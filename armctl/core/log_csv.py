@@ -218,10 +218,8 @@ def _is_repeated(t: Array, values: Array) -> BoolArray:
     """(T,) bool, rows with the time of the row before, and short runs of rows with its values."""
     same_time = np.concatenate([[False], np.diff(t) == 0])
     same_values = np.concatenate([[False], (np.diff(values, axis=0) == 0).all(axis=1)])
-    starts = np.flatnonzero(np.diff(np.concatenate([[False], same_values]).astype(int)) == 1)
-    ends = np.flatnonzero(np.diff(np.concatenate([same_values, [False]]).astype(int)) == -1)
     repeated = same_time.copy()
-    for start, end in zip(starts, ends, strict=True):
-        if end - start + 1 <= _MAX_REPEATS:
-            repeated[start : end + 1] = True
+    for start, end in np.flatnonzero(np.diff(same_values, prepend=False, append=False)).reshape(-1, 2):
+        if end - start <= _MAX_REPEATS:
+            repeated[start:end] = True
     return repeated

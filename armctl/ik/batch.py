@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
@@ -58,19 +58,16 @@ def solve_ik_batch(
     problem = read_problem(arm, constraint, numbers, q0, position_tolerance, orientation_tolerance, seed)
     workers = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
     count = len(numbers)
-    chunks = _chunks(count, workers)
-    parts: dict[int, IkBatch] = {}
+    parts: list[IkBatch] = []
     with progress_bar("IK", count, "targets") as progress, ThreadPoolExecutor(workers) as pool:
-        jobs = {pool.submit(_solve, problem, rows, q0 is not None): i for i, rows in enumerate(chunks)}
         try:
-            for job in as_completed(jobs):
-                parts[jobs[job]] = job.result()
-                progress.update(len(chunks[jobs[job]]))
+            for part in pool.map(lambda rows: _solve(problem, rows, q0 is not None), _chunks(count, workers)):
+                parts.append(part)
+                progress.update(len(part.ok))
         finally:
             pool.shutdown(cancel_futures=True)
-    in_order = [parts[i] for i in range(len(chunks))]
-    arrays: dict[str, Any] = {name: frozen(np.concatenate([getattr(part, name) for part in in_order])) for name in BATCH_ARRAYS}
-    return IkBatch(**arrays, branch=tuple(itertools.chain.from_iterable(part.branch for part in in_order)))
+    arrays: dict[str, Any] = {name: frozen(np.concatenate([getattr(part, name) for part in parts])) for name in BATCH_ARRAYS}
+    return IkBatch(**arrays, branch=tuple(itertools.chain.from_iterable(part.branch for part in parts)))
 
 
 def _chunks(count: int, workers: int) -> list[IntArray]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +17,8 @@ from armctl.robot.arm import Arm, check_arm
 
 if TYPE_CHECKING:
     import mink
+    import qpsolvers
     from mink.tasks import BaseTask
-
-import warnings
-from typing import Any, NamedTuple
 
 DAMPING = 1e-9  # of all joints of the model; those outside the arm have no other term
 MAX_CUTS = 4  # of a step whose end is too near something
@@ -134,49 +133,50 @@ class DifferentialIk:
 
     def _solve(self, q: Array, low: Array, high: Array, dt: float) -> Array:
         program = self._program(low, high, dt)
-        dq = program.solve(self._solver)
+        dq = solved(program, self._solver)
         if dq is None and self._clearance is not None and program.h is not None:
             # a body that is too near may not be able to move away as fast as demanded: only forbid that it comes nearer
-            program = program._replace(h=np.maximum(program.h, 0.0))
-            dq = program.solve(self._solver)
+            program.h = np.maximum(program.h, 0.0)
+            dq = solved(program, self._solver)
         if dq is None:
             self.status = "no solution"
             return np.zeros(self.arm.n)
         self.status = "solved"
         dq = np.clip(dq, low, high)
-        if self._is_alone and self.tip.is_idle(dq) and program.allows_zero():
+        if self._is_alone and self.tip.is_idle(dq) and allows_zero(program):
             return np.zeros(self.arm.n)
         return dq if self._clearance is None else self._kept_clear(program, q, dq)
 
-    def _program(self, low: Array, high: Array, dt: float) -> QuadraticProgram:
+    def _program(self, low: Array, high: Array, dt: float) -> qpsolvers.Problem:
         """mink's program, reduced from the joints of the model to those of the arm; all other joints stand still."""
         import mink
+        import qpsolvers
 
         full = mink.build_ik(self.configuration, self._tasks, dt, DAMPING, self._all_limits, self._constraints)
         joint_map = self.arm.joint_map
-        return QuadraticProgram(
+        return qpsolvers.Problem(
             P=joint_map.reduced_matrix(np.asarray(full.P)),
             q=joint_map.reduced(full.q),
             G=None if full.G is None else joint_map.reduced(np.asarray(full.G)),
             h=full.h,
             A=None if full.A is None else joint_map.reduced(np.asarray(full.A)),
             b=full.b,
-            low=low,
-            high=high,
+            lb=low,
+            ub=high,
         )
 
-    def _kept_clear(self, program: QuadraticProgram, q: Array, dq: Array) -> Array:
+    def _kept_clear(self, program: qpsolvers.Problem, q: Array, dq: Array) -> Array:
         """The step, shortened if the linear limits miss something: the nearest points of two bodies may change within it."""
         assert self._clearance is not None
         for _ in range(MAX_CUTS):
             cut = self._clearance.violations(q, dq)
             if cut.G is None or cut.h is None:
                 return dq
-            program = program.with_inequalities(cut.G, cut.h)
-            shorter = program.solve(self._solver)
+            add_inequalities(program, cut.G, cut.h)
+            shorter = solved(program, self._solver)
             if shorter is None:
                 break
-            dq = np.clip(shorter, program.low, program.high)
+            dq = np.clip(shorter, program.lb, program.ub)
         self.status = "held back"
         for _ in range(MAX_HALVINGS):
             dq = 0.5 * dq
@@ -192,40 +192,27 @@ def _checked_list(what: str, value: object, kind: type) -> list:
     return list(value)
 
 
-class QuadraticProgram(NamedTuple):
-    """Minimize x.Px / 2 + q.x subject to G x <= h, A x = b and low <= x <= high."""
+def add_inequalities(program: qpsolvers.Problem, G: Array, h: Array) -> None:
+    program.G = G if program.G is None else np.vstack([np.asarray(program.G), G])
+    program.h = h if program.h is None else np.hstack([program.h, h])
 
-    P: Array
-    q: Array
-    G: Array | None
-    h: Array | None
-    A: Array | None
-    b: Array | None
-    low: Array
-    high: Array
 
-    def with_inequalities(self, G: Array, h: Array) -> QuadraticProgram:
-        """The same program with more rows of G and h."""
-        if self.G is None or self.h is None:
-            return self._replace(G=G, h=h)
-        return self._replace(G=np.vstack([self.G, G]), h=np.hstack([self.h, h]))
+def allows_zero(program: qpsolvers.Problem) -> bool:
+    """Whether x = 0 fulfils the inequalities and bounds; False if there are equalities."""
+    least = [x for x in (program.h, program.ub) if x is not None]
+    return program.A is None and all((x >= 0).all() for x in least) and (program.lb is None or bool((program.lb <= 0).all()))
 
-    def allows_zero(self) -> bool:
-        """Whether x = 0 fulfils the inequalities and bounds; False if there are equalities."""
-        inequalities_hold = self.h is None or bool((self.h >= 0).all())
-        return self.A is None and inequalities_hold and bool((self.low <= 0).all() and (self.high >= 0).all())
 
-    def solve(self, solver: str) -> Array | None:
-        """The solution, or None if there is none."""
-        import qpsolvers
+def solved(program: qpsolvers.Problem, solver: str) -> Array | None:
+    """The solution, or None if there is none."""
+    import qpsolvers
 
-        problem = qpsolvers.Problem(self.P, self.q, self.G, self.h, self.A, self.b, self.low, self.high)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what the solver warns of is visible in its solution
-                solution = qpsolvers.solve_problem(problem, solver=solver, **QP_SOLVERS[solver])
-        except (qpsolvers.QPError, ValueError, ArithmeticError, RuntimeError):
-            return None
-        if not solution.found or solution.x is None or not np.isfinite(solution.x).all():
-            return None
-        return solution.x
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what the solver warns of is visible in its solution
+            solution = qpsolvers.solve_problem(program, solver=solver, **QP_SOLVERS[solver])
+    except (qpsolvers.QPError, ValueError, ArithmeticError, RuntimeError):
+        return None
+    if not solution.found or solution.x is None or not np.isfinite(solution.x).all():
+        return None
+    return solution.x

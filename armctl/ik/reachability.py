@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -266,11 +266,10 @@ def reachability(
     manipulability = np.zeros(len(points))
     with progress_bar("reachability", len(points), "points") as progress, ThreadPoolExecutor(workers) as pool:
         chunks = [slice(k, min(k + POINTS_PER_CHUNK, len(points))) for k in range(0, len(points), POINTS_PER_CHUNK)]
-        jobs = {pool.submit(_reached, arm, points[chunk], rows, count > 0): chunk for chunk in chunks}
+        found = pool.map(lambda chunk: _reached(arm, points[chunk], rows, count > 0), chunks)
         try:
-            for job in as_completed(jobs):
-                chunk = jobs[job]
-                fraction[chunk], manipulability[chunk] = job.result()
+            for chunk, reached in zip(chunks, found, strict=True):
+                fraction[chunk], manipulability[chunk] = reached
                 progress.update(chunk.stop - chunk.start)
         finally:
             pool.shutdown(cancel_futures=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from itertools import pairwise
@@ -28,7 +29,7 @@ from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, number, shown
+from armctl.core.validation import Array, integer, number, shown
 from armctl.ik.solve import solve_ik
 from armctl.mjmodel.queries import object_id
 from armctl.motion.checks import planning_arm, start_state
@@ -140,12 +141,9 @@ def _take_shortcut(space: FreeSpace, points: list[Array], shares: Array) -> bool
 
 def _place_on(points: list[Array], lengths: list[float], distance: float) -> tuple[int, Array]:
     """The number of the line of a path at a distance from its start, and the configuration there."""
-    line = 0
-    passed = 0.0
-    while line + 2 < len(points) and passed + lengths[line] <= distance:
-        passed += lengths[line]
-        line += 1
-    share = (distance - passed) / lengths[line] if lengths[line] > 0.0 else 0.0
+    starts = list(itertools.accumulate(lengths[:-1], initial=0.0))
+    line = bisect_right(starts, distance) - 1
+    share = (distance - starts[line]) / lengths[line] if lengths[line] > 0.0 else 0.0
     return line, points[line] + share * (points[line + 1] - points[line])
 
 
@@ -225,9 +223,7 @@ def move_free_with(
     arm = planning_arm(arm, speed)
     checker = space.checker
     checker.require_provable()
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise InputError(f"seed: {seed!r:.80} is not an integer of at least 0")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(integer("seed", seed, 0))
     begin_distance = start_distance(checker, start)
     goals, goal_distance = _goals(space, arm, start, goal, rng)
     end_distance = min(begin_distance, goal_distance)

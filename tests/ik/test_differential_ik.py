@@ -9,6 +9,7 @@ import mink
 import mujoco
 import numpy as np
 import pytest
+import qpsolvers
 import scipy.linalg
 import scipy.optimize
 from arms import ARMS, arm_of
@@ -18,7 +19,7 @@ import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose
 from armctl.collision.checkers import collision_checker
 from armctl.core.pose import rotation_from_vector
-from armctl.ik.differential import QuadraticProgram
+from armctl.ik.differential import add_inequalities, allows_zero, solved
 from armctl.ik.tasks import ClearanceLimit, null_step
 from armctl.loading.catalog import BUNDLED
 
@@ -356,9 +357,9 @@ def test_rows_that_are_added_to_a_program_are_kept_beside_its_own(solver: str):
         G = rng.normal(size=(3, 4))
         h = rng.uniform(0.1, 0.5, 3)
         goal = rng.normal(size=4)
-        program = QuadraticProgram(np.eye(4), -goal, None, None, None, None, -bounds, bounds)
+        program = qpsolvers.Problem(np.eye(4), -goal, lb=-bounds, ub=bounds)
         for k in (0, 1, 2):
-            program = program.with_inequalities(G[[k]], h[[k]])
+            add_inequalities(program, G[[k]], h[[k]])
         nearest = scipy.optimize.minimize(
             lambda x, goal=goal: 0.5 * np.sum((x - goal) ** 2),
             np.zeros(4),
@@ -367,6 +368,7 @@ def test_rows_that_are_added_to_a_program_are_kept_beside_its_own(solver: str):
             constraints=[scipy.optimize.LinearConstraint(G, -np.inf, h)],
             options={"ftol": 1e-14},
         )
-        assert program.solve(solver) == pytest.approx(nearest.x, abs=1e-5)
-        assert program.allows_zero()
-        assert not program.with_inequalities(G[[0]], np.array([-0.1])).allows_zero()
+        assert solved(program, solver) == pytest.approx(nearest.x, abs=1e-5)
+        assert allows_zero(program)
+        add_inequalities(program, G[[0]], np.array([-0.1]))
+        assert not allows_zero(program)
