@@ -9,12 +9,11 @@ from armctl.core.errors import LimitError, PlanError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.motion.checks import planning_arm, start_state
-from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
+from armctl.motion.timing.otg import JointState, ProfileSolver
+from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE
 from armctl.motion.trajectory.path_stop import remaining
 from armctl.motion.trajectory.piecewise import Pieces, standing
 from armctl.robot.arm import Arm
-
-_POSITION_ROUNDING = 1e-9  # rad (m)
 
 
 class OnlineMotion:
@@ -45,9 +44,8 @@ class OnlineMotion:
         self._arm = arm
         self._q_min = limits.q_min.tolist()
         self._q_max = limits.q_max.tolist()
-        self._q_min_loose = (limits.q_min - _POSITION_ROUNDING).tolist()
-        self._q_max_loose = (limits.q_max + _POSITION_ROUNDING).tolist()
-        self._zero = [0.0] * arm.n
+        self._q_min_loose = (limits.q_min - POSITION_TOLERANCE).tolist()
+        self._q_max_loose = (limits.q_max + POSITION_TOLERANCE).tolist()
         self._solver = ProfileSolver.of(limits)
         start = start_state(arm, q_start)
         self._t = 0.0
@@ -75,7 +73,7 @@ class OnlineMotion:
         """
         goal = self._checked(q)
         start = self._state(self._t)
-        profile = self._profile_to(start, goal)
+        profile = self._solver.to_rest(start, goal.tolist(), self._q_min_loose, self._q_max_loose)
         self._start = start
         if profile is not None:
             self._profile = profile
@@ -127,15 +125,6 @@ class OnlineMotion:
             if all(inside):
                 return q.copy()
         return self._arm.checked("q", q)
-
-    def _profile_to(self, start: JointState, goal: Array) -> Profile | None:
-        """A motion from a state to rest at a goal, inside the limits."""
-        target = JointState(goal.tolist(), self._zero, self._zero)
-        for together in (True, False):
-            profile = self._solver.solve(start, target, together)
-            if profile is not None and profile.stays_inside(self._q_min_loose, self._q_max_loose):
-                return profile
-        return None
 
     def _brake(self) -> None:
         """Replaces the profile by the fastest stop from `_start`."""

@@ -64,7 +64,7 @@ class CommittedMotion:
         self.obstacle = ""
         state = _lists(start)
         for solver in self._solvers:
-            profile = self._profile(solver, state, goal)
+            profile = solver.to_rest(state, goal.tolist(), self._q_min, self._q_max)
             if profile is not None and self._is_feasible(profile.pieces(state)):
                 pieces = profile.pieces(state)
                 refused = self._refused(pieces)
@@ -136,13 +136,8 @@ class CommittedMotion:
             t += float(part.knots[-1])
         # The fastest motion to rest, or if that leaves the limits the fastest stop.
         state = _lists(state)
-        profile = self._profile(solver, state, knots.rest) or self._inside(solver.stop(state))
+        profile = solver.to_rest(state, knots.rest.tolist(), self._q_min, self._q_max) or self._inside(solver.stop(state))
         return None if profile is None else joined([*parts, profile.pieces(state)])
-
-    def _profile(self, solver: ProfileSolver, start: JointState, goal: Array) -> Profile | None:
-        """The fastest motion to rest at a place that stays inside the position limits; None if there is none."""
-        end = JointState(goal.tolist(), self._zero, self._zero)
-        return self._inside(solver.solve(start, end)) or self._inside(solver.solve(start, end, together=False))
 
     def _inside(self, profile: Profile | None) -> Profile | None:
         """The profile, if it stays inside the position limits."""

@@ -152,6 +152,17 @@ class ProfileSolver:
         inp.synchronization = _TOGETHER if together else _SEPARATELY
         return self._calculated()
 
+    def to_rest(self, start: JointState, goal: list[float], q_min: list[float], q_max: list[float]) -> Profile | None:
+        """The fastest profile to rest at a goal that stays inside position limits; None if there is none.
+
+        All joints arrive at the same time; where one would leave its limits, each moves by itself.
+        """
+        for together in (True, False):
+            profile = self.solve(start, JointState(goal, self._zero, self._zero), together)
+            if profile is not None and profile.stays_inside(q_min, q_max):
+                return profile
+        return None
+
     def stop(self, start: JointState) -> Profile | None:
         """The fastest stop of each joint by itself, or None if ruckig finds none."""
         inp = self._input
