@@ -50,6 +50,7 @@ class Dynamics:
         self._support_data = self._gravity_support.createData() if self._gravity_support is not None else None
         self._models = (model, pinocchio_model)
         self._step: tuple[float, _core.ArmModel] | None = None  # the control period, s, of the last step, and the core's model
+        self._payload_basis = _payload_basis(pinocchio_model.T_last_tip)
         followers = np.setdiff1d(np.arange(len(joint_map.joints)), joint_map.leaders)
         self._is_upper = np.triu(np.ones((len(joint_map.leaders), len(joint_map.leaders)), bool))
         self._followers = tuple(joint_name(model, joint_map.joints[k]) for k in followers)
@@ -98,14 +99,12 @@ class Dynamics:
         """(n, 4): `regressor @ [m, m cx, m cy, m cz]` is the torque of a point mass m at c in the tip's frame.
 
         The inertia m c c^T about the tip is not linear in these four and is left out: it is small if c is. ModelError
-        if a joint of the arm follows another.
+        if a joint of the arm follows another: Pinocchio has no regressor for that.
         """
         if self._followers:
             raise ModelError(f"{self._followers[0]}: no payload can be identified where one joint follows another")
-        regressor = np.empty((len(q), 10))  # per mass, first moment and second moments
-        q, v, a = np.array([q, v, a])[:, None]
-        _core.payload_regressors(self._core_model, q, v, a, regressor.reshape(1, -1))
-        return regressor[:, :4]
+        regressor = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
+        return regressor.reshape(len(q), -1)[:, -10:] @ self._payload_basis
 
     def friction(self, v: Array, a: Array) -> Array:
         """The torque that overcomes dry friction in continuous time, by MuJoCo's law (`DryFriction`); (..., n) N m."""
@@ -171,3 +170,20 @@ def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioM
             error = float(np.abs(result - reference).max() / max(1.0, np.abs(reference).max()))
             if not error <= _TOLERANCE:
                 raise ModelError(f"the core's {what} differs by {error:.2g} from Pinocchio's (at most {_TOLERANCE:g})")
+
+
+def _payload_basis(T_last_tip: Array) -> Array:
+    """(10, 4): Pinocchio's ten inertial parameters in the last joint's frame from m and m c in the tip's.
+
+    With p = r + R c, a point mass has first moment m p and second moment S = m p p^T, of which I = tr(S) 1 - S.
+    """
+    R = T_last_tip[:3, :3]
+    r = T_last_tip[:3, 3]
+    basis = np.zeros((10, 4))
+    for k in range(4):
+        m = 1.0 if k == 0 else 0.0
+        h = np.zeros(3) if k == 0 else R[:, k - 1]
+        S = m * np.outer(r, r) + np.outer(r, h) + np.outer(h, r)
+        inertia = np.trace(S) * np.eye(3) - S
+        basis[:, k] = [m, *(m * r + h), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+    return basis

@@ -81,6 +81,22 @@ def test_a_target_that_is_dragged_through_a_wall_is_followed_around_it_after_it_
     assert watched.nearest > 0.0
 
 
+def test_the_arm_does_not_stop_at_each_place_of_a_target_that_is_dragged_in_rare_steps():
+    session = RealTimeSession(armctl.load(BUNDLED))
+    y = np.repeat(0.2 - 0.01 * np.arange(12), 25)  # a step every 0.25 s
+    speeds = []
+    for k, each in enumerate(y):
+        if k % 25 == 0:
+            session.aim(Pose([0.42, each, 0.25]), held=True)
+        before = session.status.q
+        session.advance()
+        speeds.append(np.abs(session.status.q - before).max() / UPDATE_INTERVAL_S)
+    assert min(speeds[150:]) > 0.5 * np.mean(speeds[150:]) > 0.02
+    for _ in range(100):
+        session.advance()
+    assert session.status.position_error < 1e-3
+
+
 def test_a_target_inside_a_wall_is_refused_and_the_arm_stays(watched: Watched):
     before = watched.session.status.q
     watched.aim(INSIDE)

@@ -73,7 +73,7 @@ private:
     // 1/s. While the tip sinks into a damped wall, its damping would hold back a part of the force. So a speed that lasts, and that
     // reduces the error, is damped less and less.
     static constexpr double steady_speed_rate = 16.0;
-    static constexpr double min_relieved_ratio = 0.25;     // of the target, what the damping is relieved of at least
+    static constexpr double min_relieved_ratio = 0.25;    // of the target, what the damping is relieved of at least
     static constexpr double max_relieved_ratio = 0.9;     // and at most, where the wall itself damps the tip critically
     static constexpr double relief_rate = 30.0;           // 1/s, of the depth, a bound for the steady speed
     static constexpr double max_integrated_error = 0.08;  // of the target

@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.collision.checker import CollisionChecker
 from armctl.core.latest_worker import LatestWorker
-from armctl.core.pose import Pose, rotation_from_vector
+from armctl.core.pose import Pose, rotation_from_vector, rotation_vector
 from armctl.core.target import Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, frozen
@@ -34,6 +34,7 @@ PATH_POINTS = 100
 # By how much a target that moves at a velocity may be ahead of the arm, which an obstacle or a limit may stop.
 _LEAD_M = 0.03
 _LEAD_RAD = 0.2
+_MAX_GLIDE_S = 0.4  # a browser that draws slowly sends the places of a dragged target this rarely
 
 _log = logging.getLogger("armctl.sim")
 
@@ -77,6 +78,7 @@ class TargetFollower:
         self._checker: CollisionChecker | None = None
         self._clearance = _CLEARANCE_M
         self._is_jogging = False
+        self._since_aim = self._glide_s = 0.0
         self.stand(arm.home, arm.home)
 
     def close(self) -> None:
@@ -96,7 +98,16 @@ class TargetFollower:
         self.joint_control = False
 
     def aim(self, target: Pose, held: bool = False) -> None:
-        """Takes a new target, T_world_tip. While it is held, the arm follows live and plans nothing."""
+        """Takes a new target, T_world_tip. While it is held, the arm follows live and plans nothing.
+
+        The way from one held target to the next one takes the time between the two, so that the arm does not stop at each.
+        """
+        if held and self._held and self._since_aim <= _MAX_GLIDE_S:
+            self._glide_start = self._glided()
+            self._glide_s = self._since_aim
+        else:
+            self._glide_s = 0.0
+        self._since_aim = 0.0
         self.target = target
         self.joint_control = False
         self._begin(None, held)
@@ -137,6 +148,7 @@ class TargetFollower:
             rows = self.reference.next(ticks)
             self.joint_goal = self.arm.limits.clamp(self.reference.q)
             return rows
+        self._since_aim += ticks * self._dt
         self._take_answer()
         if not (self.is_planning or self._finished):
             self._watch(held_body)
@@ -181,13 +193,18 @@ class TargetFollower:
         if self._wanted is not None:
             self._finished = self._approach(self._wanted)
             return
-        target = Target.read(self.target if self.oriented else self.target.position)
+        aimed = self._glided()
+        target = Target.read(aimed if self.oriented else aimed.position)
         if is_new and not self._held and self._is_blocked(target):
             self._plan(target)
             return
         rate = self._velocity(target, interval)
         is_free = self._approach(self.arm.limits.clamp(self.joint_goal + interval * rate))
-        if not is_free or (np.abs(rate).max() > _IK_AT_REST_SPEED and not self._swings(rate, interval)):
+        if (
+            not is_free
+            or aimed is not self.target
+            or (np.abs(rate).max() > _IK_AT_REST_SPEED and not self._swings(rate, interval))
+        ):
             return
         self._finished = True
         solution = solve_ik(self.arm, target, self.joint_goal)
@@ -196,6 +213,16 @@ class TargetFollower:
             self._finished = self._approach(solution.q)
         if not solution.ok:
             self.reach_error = solution.position_error
+
+    def _glided(self) -> Pose:
+        """The target, or a pose on the way there from the held one before it."""
+        if self._since_aim >= self._glide_s:
+            return self.target
+        share = self._since_aim / self._glide_s
+        start = self._glide_start
+        turn = rotation_vector(self.target.rotation @ start.rotation.T)
+        position = start.position + share * (self.target.position - start.position)
+        return Pose.from_rotation(position, rotation_from_vector(share * turn) @ start.rotation)
 
     def _begin_swing(self) -> None:
         self._swing_start = self.joint_goal
