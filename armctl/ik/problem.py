@@ -215,8 +215,9 @@ def _make_chain(arm: Arm) -> IkChain:
     joint_map = arm.joint_map
     ratio = joint_map.ratio[: body.chain_length]
     slides = body.is_slide[joint_map.leaders]
-    offsets = _joint_transforms(joint_map.offset[: body.chain_length], body.is_slide)
-    links = np.concatenate([body.placements @ offsets, body.T_last_tip[None]])
+    position, rotation = body.tip(np.zeros(arm.n))
+    links = np.array([*(T.homogeneous for T in body.scratch.liMi[1 : body.chain_length + 1]), body.T_last_tip])
+    joints = np.array([T.homogeneous for T in body.scratch.oMi[1 : body.chain_length + 1]])
     farthest = np.maximum(np.abs(limits.q_min), np.abs(limits.q_max))
     travel = np.where(body.is_slide, np.abs(ratio) @ np.where(np.isfinite(farthest), farthest, 0.0), 0.0)
     reach = float(np.linalg.norm(links[1:, :3, 3], axis=1).sum() + travel.sum()) or 1.0
@@ -243,7 +244,7 @@ def _make_chain(arm: Arm) -> IkChain:
     closed_form = None
     closed_form_core = None
     if body.chain_length == arm.n and (period > 0).all() and (ratios == 1.0).all():
-        hinges = _hinges(rotations, translations)
+        hinges = Hinges(joints[:, :3, 2].copy(), joints[:, :3, 3] / reach, rotation.copy(), position / reach)
         in_reaches = np.repeat([[1 / reach], [1.0]], 3, axis=0)
         closed_form = closed_form_of(hinges, lambda q: in_reaches * body.jacobian(q))
         if closed_form is not None:
@@ -273,30 +274,3 @@ def _make_chain(arm: Arm) -> IkChain:
         closed_form_core=closed_form_core,
         branch_names=_NO_BRANCHES if closed_form is None else closed_form.branch_names,
     )
-
-
-def _hinges(rotations: Array, translations: Array) -> Hinges:
-    """The hinges at zero of a chain whose links are (n + 1, 3, 3) and (n + 1, 3), the tip's last."""
-    rotation = np.eye(3)
-    position = np.zeros(3)
-    axes = []
-    points = []
-    for link_rotation, link_translation in zip(rotations, translations, strict=True):
-        position = position + rotation @ link_translation
-        rotation = rotation @ link_rotation
-        axes.append(rotation[:, 2])
-        points.append(position)
-    return Hinges(np.array(axes[:-1]), np.array(points[:-1]), rotation, position)
-
-
-def _joint_transforms(displacements: Array, is_slide: BoolArray) -> Array:
-    """(k, 4, 4) the transforms of joints displaced about z, or along z if they slide."""
-    T = np.tile(np.eye(4), (len(displacements), 1, 1))
-    cos = np.where(is_slide, 1.0, np.cos(displacements))
-    sin = np.where(is_slide, 0.0, np.sin(displacements))
-    T[:, 0, 0] = cos
-    T[:, 0, 1] = -sin
-    T[:, 1, 0] = sin
-    T[:, 1, 1] = cos
-    T[:, 2, 3] = np.where(is_slide, displacements, 0.0)
-    return T

@@ -23,6 +23,7 @@ from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces, hermite, sample, standing
 from armctl.robot.arm import Arm
 from armctl.sim.contact_reaction import ContactReaction
+from armctl.sim.drive import hold_reference
 from armctl.sim.recorder import Recorder, ReferenceTips, RunInfo
 
 _AHEAD_S = 0.05  # before its chunk of a moving reference is over, `run` returns, so that the next one can be planned
@@ -135,10 +136,6 @@ class LinkDrive:
         self._trajectory = (rows, trajectory)
         return rows
 
-    def hold_reference(self, seconds: float) -> TickReference:
-        still = np.zeros((max(1, round(seconds / self.dt)), self.actuation.n))
-        return TickReference(self.q_ref + still, still, still, still, still)
-
     def run(
         self, controller: Controller | None, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None
     ) -> None:
@@ -186,7 +183,7 @@ class LinkDrive:
     def hold(self, seconds: float) -> Array:
         """Streams the present position for a while; the times of the readings, s."""
         recorder = _LinkRecorder(self)
-        self.run(None, self.hold_reference(seconds), recorder)
+        self.run(None, hold_reference(self, seconds), recorder)
         self._recorder = None
         return np.concatenate([part.t for segment in recorder.segments for part in segment.readings] or [np.zeros(0)])
 

@@ -3,6 +3,7 @@
 from typing import Protocol
 
 import mujoco
+import numpy as np
 
 from armctl.control.interface import Controller, State
 from armctl.core.pose import Pose
@@ -64,10 +65,6 @@ class Drive(Protocol):
         """The first `ticks` ticks of a trajectory."""
         ...
 
-    def hold_reference(self, seconds: float) -> TickReference:
-        """A reference that stays where the last one ended, for at least one tick."""
-        ...
-
     def run(self, controller: Controller, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None) -> None:
         """Runs along a reference; `failure` says why if the run ends early.
 
@@ -79,3 +76,9 @@ class Drive(Protocol):
     def come_to_rest(self, *, stop: bool) -> None:
         """Called where a run ends: waits until a robot rests; with `stop` it brakes on its path before its end."""
         ...
+
+
+def hold_reference(drive: Drive, seconds: float) -> TickReference:
+    """A reference that stays where the last one ended, for at least one tick."""
+    still = np.zeros((max(1, round(seconds / drive.dt)), drive.actuation.n))
+    return TickReference(drive.q_ref + still, still, still, still, still)

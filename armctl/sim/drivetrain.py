@@ -165,8 +165,7 @@ def new_model(arms: Sequence[Arm], plant: DrivetrainAttributes) -> mujoco.MjMode
 
 def structure_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Structure:
     """What a plant adds to a model: which joints get a rotor, whether there are bristles, and windings."""
-    n = sum(arm.n for arm in arms)
-    has_rotor = (per_joint("elasticity", plant.elasticity, n) > 0.0) | (per_joint("backlash", plant.backlash, n) > 0.0)
+    has_rotor = (per_joint("elasticity", plant.elasticity, arms) > 0.0) | (per_joint("backlash", plant.backlash, arms) > 0.0)
     return tuple(has_rotor.tolist()), plant.friction == "lugre", plant.motor > 0.0
 
 
@@ -207,10 +206,9 @@ def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: S
     """Gives a model by `new_model` the rotors' inertias, the springs and gaps of a plant, in place; before `mj_setConst`."""
     if not train.rotors:
         return
-    n = train.actuation.n
     dofs = train.actuation.dof_adr[train.owners]
     rotors = train.motor_dof[train.owners]
-    given = per_joint("rotor_inertia", plant.rotor_inertia, n)[train.owners]
+    given = per_joint("rotor_inertia", plant.rotor_inertia, arms)[train.owners]
     inertia = np.where(given > 0.0, given, model.dof_armature[dofs])
     if not (inertia > 0.0).all():
         name = train.actuation.joint_names[train.owners[int(inertia.argmin())]]
@@ -221,8 +219,8 @@ def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: S
         friction[rotors] = friction[dofs]
         friction[dofs] = 0.0
     tendons = model.ntendon - len(rotors) + np.arange(len(rotors))
-    stiffness = per_joint("elasticity", plant.elasticity, n)[train.owners]
-    gap = 0.5 * per_joint("backlash", plant.backlash, n)[train.owners]
+    stiffness = per_joint("elasticity", plant.elasticity, arms)[train.owners]
+    gap = 0.5 * per_joint("backlash", plant.backlash, arms)[train.owners]
     is_spring = stiffness > 0.0
     both = np.column_stack([-gap, gap])
     model.tendon_stiffness[tendons] = stiffness
@@ -265,11 +263,13 @@ def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train:
             set_time_constant(model.actuator(motor), plant.motor)
 
 
-def per_joint(name: str, value: object, n: int) -> Array:
-    """A checked attribute of one number, or of one for each joint, as (n,)."""
+def per_joint(name: str, value: object, arms: Sequence[Arm]) -> Array:
+    """A checked attribute of one number, or of one for each of the n joints of some arms, as (n,)."""
+    n = sum(arm.n for arm in arms)
     values = np.asarray(value, dtype=np.float64)
     if len(np.atleast_1d(values)) not in (1, n):
-        raise InputError(f"{name}: expected 1 or {n} numbers, got {len(values)}")
+        names = ", ".join(arm.name for arm in arms)
+        raise InputError(f"{name}: expected 1 or {n} numbers, got {len(values)} ({names:.80})")
     return np.broadcast_to(values, n).copy()
 
 

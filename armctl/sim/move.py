@@ -25,7 +25,7 @@ from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import FreeSpace, move_free_with
 from armctl.robot.arm import Arm
-from armctl.sim.drive import Drive
+from armctl.sim.drive import Drive, hold_reference
 from armctl.sim.recorder import Recorder, RunInfo, ticks_for
 from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
@@ -157,7 +157,7 @@ class ControlledArms:
         targets = {tip: each.target.numbers for tip, each in moves.items()}
         with self.recording(durations, targets) as recorder:
             self._run(trajectories, reference, recorder)
-            hold = drive.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
+            hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + _SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:
                 still = all(drive.is_still(self._slices[tip]) for tip in trajectories)
@@ -171,7 +171,7 @@ class ControlledArms:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
         self.resume()
         recorder = self.drive.recorder()
-        reference = self.drive.hold_reference(seconds)
+        reference = hold_reference(self.drive, seconds)
         try:
             self.drive.run(self._controller, reference, recorder)
         except BaseException as error:

@@ -19,7 +19,7 @@ from armctl.mjmodel.edit import add_point_mass
 from armctl.mjmodel.queries import actuator_name, is_on_joint
 from armctl.mjmodel.spring_joints import spring_joints
 from armctl.robot.arm import Arm
-from armctl.sim.drivetrain import Drivetrain, apply_drivetrain, drivetrain_of, finish_drivetrain, new_model
+from armctl.sim.drivetrain import Drivetrain, apply_drivetrain, drivetrain_of, finish_drivetrain, new_model, per_joint
 from armctl.sim.plant_attribute import Kind, attributes_of, number_text, plant_attribute
 
 # Runge-Kutta is stable up to steps of 2.8 time constants of the fastest damped joint; one time constant keeps it accurate.
@@ -324,11 +324,7 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
         add_point_mass(model, arms[0].tip_body, plant.payload, center)
     dofs = np.concatenate([arm.dof_adr for arm in arms])
     for what, column in (("coulomb_friction", model.dof_frictionloss), ("viscous_friction", model.dof_damping)):
-        added = np.asarray(getattr(plant, what))
-        if len(added) not in (1, len(dofs)):
-            names = ", ".join(arm.name for arm in arms)
-            raise InputError(f"{what}: expected 1 or {len(dofs)} numbers, got {len(added)} ({names:.80})")
-        column[dofs] += added
+        column[dofs] += per_joint(what, getattr(plant, what), arms)
     train = drivetrain_of(arms, plant)
     apply_drivetrain(model, plant, arms, train)
     mujoco.mj_setConst(model, data)

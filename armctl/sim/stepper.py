@@ -224,10 +224,6 @@ class Stepper:
         self._sampled = (trajectory, grid, reference) if is_immutable and ticks <= _MAX_KEPT_TICKS else None
         return reference
 
-    def hold_reference(self, seconds: float) -> TickReference:
-        still = np.zeros((max(1, round(seconds / self.dt)), self.n))
-        return TickReference(self.q_ref + still, still, still, still, still)
-
     def run(self, controller: Controller, reference: TickReference, recorder: Recorder, to_rest: Pieces | None = None) -> None:
         """Runs the tick loop along a reference, whose arrays become read-only: measure, control, step, record.
 

@@ -22,6 +22,7 @@ from armctl.ik.solve import solve_ik
 from armctl.mjmodel.queries import contact_forces
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
+from armctl.sim.drive import hold_reference
 from armctl.sim.gripper.gripper import Gripper
 from armctl.sim.obstacles import Obstacles
 from armctl.sim.plant import Plant
@@ -299,7 +300,7 @@ class RealTimeSession:
     def _hold(self, seconds: float) -> None:
         if self._stopping.is_set():
             raise _StoppedError
-        self._stepper.run(self._controller, self._stepper.hold_reference(seconds), self._stepper.recorder())
+        self._stepper.run(self._controller, hold_reference(self._stepper, seconds), self._stepper.recorder())
         self._status = self._observed(self._stepper.q_ref)
         if self._thread is threading.current_thread():
             self._clock.wait(seconds)
