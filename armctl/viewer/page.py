@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import logging
 import queue
@@ -235,5 +236,7 @@ def view(
             print(f"{arms[0].name} is at {scene.url}; Ctrl-C ends it", flush=True)
             page = Page(arms, scene, controller, scenes)
             stack.callback(page.close)
+            gc.freeze()  # a collection that looks at everything that was loaded takes 0.1 s, in which the arm stands
+            stack.callback(gc.unfreeze)
             page.serve(demonstrated=True)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not interrupt the closing

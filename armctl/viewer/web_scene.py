@@ -110,6 +110,7 @@ class WebScene:
         self._view: _View | None = None
         self._drawing_lock = threading.Lock()  # `set` replaces what the drawing thread uses
         self._latest: _Frame | None = None
+        self._shown = threading.Event()
         self._drawn: _Frame | None = None
         self._client_connected = threading.Event()
         self._closing = threading.Event()
@@ -155,6 +156,7 @@ class WebScene:
         position = self._data.mocap_pos if mocap_pos is None else mocap_pos
         quat = self._data.mocap_quat if mocap_quat is None else mocap_quat
         self._latest = _Frame(np.array(qpos), np.array(position), np.array(quat))
+        self._shown.set()
 
     def show_target(self, qpos: Array, target: Pose) -> None:
         """Sets what is drawn next, with the target marker at a pose. A model without a movable marker shows none."""
@@ -185,7 +187,11 @@ class WebScene:
 
     def _run(self) -> None:
         refine_at: float | None = None
-        while not self._closing.wait(DRAW_INTERVAL_S):
+        next_at = 0.0
+        while not self._closing.wait(max(0.0, next_at - time.monotonic())):
+            self._shown.wait(DRAW_INTERVAL_S)  # what is shown is drawn at once, unless something was drawn just before
+            self._shown.clear()
+            next_at = time.monotonic() + DRAW_INTERVAL_S
             if refine_at is None and self._client_connected.is_set():
                 refine_at = time.monotonic() + _REFINE_DELAY_S
             try:
