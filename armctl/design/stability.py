@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from math import inf, pi
 from typing import NamedTuple
@@ -10,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.result import Verdict
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array, IntArray, frozen
 from armctl.design.state_space import ComplexArray, StateSpace
 
 _MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
@@ -101,9 +102,10 @@ def _with_resonances(frequencies: Array, loop: StateSpace, dt: float) -> Array:
     return np.asarray(np.union1d(frequencies, inside), dtype=np.float64)
 
 
+@cache
 def coarse_grid(dt: float) -> Array:
     """Frequencies, rad/s, of `coarse_margins`."""
-    return frequency_grid(dt, _COARSE_POINTS)
+    return frozen(frequency_grid(dt, _COARSE_POINTS))
 
 
 class CoarseMargins(NamedTuple):
@@ -124,8 +126,19 @@ def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray)
 
 def coarse_margins_of(frequencies: Array, transfer: ComplexArray) -> CoarseMargins:
     """As `coarse_margins` of a stable loop, for which the decisive frequencies are enough."""
-    eigenvalues = np.linalg.eigvals(transfer).astype(np.complex128)
-    return _coarse_margins(frequencies, eigenvalues, np.diagonal(_sensitivity(transfer), axis1=1, axis2=2))
+    sensitivity = _sensitivity(transfer)
+    return _coarse_margins(frequencies, _eigenvalues(transfer, sensitivity), np.diagonal(sensitivity, axis1=1, axis2=2))
+
+
+def _eigenvalues(transfer: ComplexArray, sensitivity: ComplexArray) -> ComplexArray:
+    """(k, n) of a loop transfer function, where some may cross the unit circle; elsewhere 0.5 for inside it, 2 for outside."""
+    # An eigenvalue l of L is at most |L|, and 1 / (1 + l) one of the sensitivity S: |l| is above 1 if |S| is below 1/2.
+    side = 0.0 - (np.linalg.norm(transfer, axis=(1, 2)) < 1.0) + (np.linalg.norm(sensitivity, axis=(1, 2)) < 0.5)
+    changes = np.diff(side) != 0.0
+    near = (side == 0.0) | np.append(changes, False) | np.append(False, changes)
+    eigenvalues = np.tile(2.0 ** side[:, None].astype(np.complex128), transfer.shape[1])
+    eigenvalues[near] = np.linalg.eigvals(transfer[near])
+    return eigenvalues
 
 
 def coarse_margins_near(frequencies: Array, transfer: ComplexArray, changes: ComplexArray) -> list[CoarseMargins]:

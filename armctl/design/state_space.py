@@ -49,6 +49,8 @@ class StateSpace:
 
     def transfer(self, z: ComplexArray) -> ComplexArray:
         """(len(z), outputs, inputs), the transfer function C (z - A)^-1 B + D."""
+        if not len(self.A):
+            return np.tile(self.D.astype(complex), (len(z), 1, 1))
         identity = np.eye(len(self.A))
         B = np.broadcast_to(self.B.astype(complex), (len(z), *self.B.shape))
         return self.C @ np.linalg.solve(z[:, None, None] * identity - self.A, B) + self.D
