@@ -78,7 +78,8 @@ class TargetFollower:
         self._checker: CollisionChecker | None = None
         self._clearance = _CLEARANCE_M
         self._is_jogging = False
-        self._since_aim = self._glide_s = 0.0
+        self._since_aim = 0.0
+        self._glide_s = 0.0
         self.stand(arm.home, arm.home)
 
     def close(self) -> None:
