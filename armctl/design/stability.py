@@ -133,7 +133,9 @@ def coarse_margins_of(frequencies: Array, transfer: ComplexArray) -> CoarseMargi
 def _eigenvalues(transfer: ComplexArray, sensitivity: ComplexArray) -> ComplexArray:
     """(k, n) of a loop transfer function, where some may cross the unit circle; elsewhere 0.5 for inside it, 2 for outside."""
     # An eigenvalue l of L is at most |L|, and 1 / (1 + l) one of the sensitivity S: |l| is above 1 if |S| is below 1/2.
-    side = 0.0 - (np.linalg.norm(transfer, axis=(1, 2)) < 1.0) + (np.linalg.norm(sensitivity, axis=(1, 2)) < 0.5)
+    is_inside = np.linalg.norm(transfer, axis=(1, 2)) < 1.0
+    is_outside = np.linalg.norm(sensitivity, axis=(1, 2)) < 0.5
+    side = np.select([is_inside, is_outside], [-1.0, 1.0], 0.0)
     changes = np.diff(side) != 0.0
     near = (side == 0.0) | np.append(changes, False) | np.append(False, changes)
     eigenvalues = np.tile(2.0 ** side[:, None].astype(np.complex128), transfer.shape[1])

@@ -86,10 +86,11 @@ class Dynamics:
         This is what `mj_inverse` computes with `mjENBL_INVDISCRETE`. RK4 has no such inverse: it gets the continuous one.
         With dt = 0 this is `inverse_dynamics`.
         """
-        if dt and (self._step is None or self._step[0] != dt):  # it rarely changes between calls
+        if not dt:
+            return self.inverse_dynamics(q, v, a)
+        if self._step is None or self._step[0] != dt:  # it rarely changes between calls
             self._step = (dt, self._core_model.for_period(dt, False))
-        core = self._step[1] if dt and self._step is not None else self._core_model
-        return inverse_dynamics(core, q[None], v[None], a[None])[0]
+        return inverse_dynamics(self._step[1], q[None], v[None], a[None])[0]
 
     def forward_dynamics(self, q: Array, v: Array, tau: Array) -> Array:
         """Acceleration in continuous time, without dry friction: the inverse of `inverse_dynamics`; (n,) rad/s^2."""
@@ -115,7 +116,10 @@ class Dynamics:
 
         Where damping is large and inertia small, it is many times the acceleration of the step.
         """
-        implicit = self.discrete_inverse_dynamics(q, v, a, dt) - self.discrete_inverse_dynamics(q, v, a, 0.0)
+        if not dt:
+            return a
+        continuous = inverse_dynamics(self._core_model, q[None], v[None], a[None])[0]  # without implicit forces the same bits
+        implicit = self.discrete_inverse_dynamics(q, v, a, dt) - continuous
         return a + self._solve_mass_matrix(q, implicit) if implicit.any() else a
 
     @cached_property

@@ -7,7 +7,7 @@ import numpy as np
 
 # Of the model's extent: vertices in one cell become one. Coarse meshes are loaded first.
 FINE_CELL = 5e-4
-PLAIN_CELL = 5e-3  # for a browser without graphics card, which draws twice as many pictures a second of these
+PLAIN_CELL = 5e-3  # for a browser without graphics card, which draws more pictures a second of these
 COARSE_CELL = 1.2e-2
 _MAX_DRAWN_GROUP = 2  # MuJoCo draws the geoms of groups 0 to 2 by default; collision shapes are in the others
 _HIDDEN_SITE_GROUP = 5

@@ -1,5 +1,6 @@
 """The link to a Franka Research 3, on franky-sim, a simulator of its controller; it knows no faults and no limits."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -27,11 +28,15 @@ def address() -> Iterator[str]:
     worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
     host = f"127.0.7.{1 + int(worker)}"
     command = [sys.executable, str(Path(__file__).with_name("franky_server.py")), host]
+    usual = os.getpriority(os.PRIO_PROCESS, 0)
+    with contextlib.suppress(PermissionError):  # controller and stream must run each millisecond, also beside other tests
+        os.setpriority(os.PRIO_PROCESS, 0, usual - 10)
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
         assert server.stdout is not None
         assert server.stdout.readline() == "ready\n"
         yield host
         server.kill()
+    os.setpriority(os.PRIO_PROCESS, 0, usual)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +61,7 @@ def test_moves_reach_their_targets_and_the_hand_moves(address: str, arm: armctl.
             lambda: robot.move_j(arm.home),
         ]
         for move in moves:
-            result = move() or move()  # where no core is free, the simulated controller misses commands and comes to rest late
+            result = move()
             assert result, result.reason
             assert result.position_error < 2e-3
             assert np.isfinite(result.log.tau).all()
