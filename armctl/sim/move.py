@@ -155,17 +155,20 @@ class ControlledArms:
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         reference = self._reference(trajectories, ticks_for(max(durations.values()), drive.dt))
         targets = {tip: each.target.numbers for tip, each in moves.items()}
+        is_done = False
         with self.recording(durations, targets) as recorder:
             self._run(trajectories, reference, recorder)
             hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + _SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:
                 still = all(drive.is_still(self._slices[tip]) for tip in trajectories)
-                if still and all(moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories):
+                is_done = still and all(moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories)
+                if is_done:
                     break
                 drive.run(self._controller, hold, recorder)
         duration = float(drive.data.time - begin)
-        return {tip: self._result(tip, each, duration, self._reason(tip, each), self._logs[tip]) for tip, each in moves.items()}
+        reasons = {tip: self._reason(tip, each, is_done) for tip, each in moves.items()}
+        return {tip: self._result(tip, each, duration, reasons[tip], self._logs[tip]) for tip, each in moves.items()}
 
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
@@ -260,16 +263,17 @@ class ControlledArms:
                 row[:, self._slices[tip]] = column
         return rows
 
-    def _reason(self, tip: str, move: PlannedMove) -> str:
-        """Why a move that ran is not ok; empty if it is."""
+    def _reason(self, tip: str, move: PlannedMove, is_done: bool) -> str:
+        """Why a move that ran is not ok; empty if it is. Where all were done, the next reading of a robot may not undo it."""
         reason = move.refusal or self.drive.failure
-        if not reason and not move.target.is_reached(self.tip_pose(tip)):
+        is_judged = bool(reason) or is_done
+        if not is_judged and not move.target.is_reached(self.tip_pose(tip)):
             position_error, orientation_error = move.target.distance(self.tip_pose(tip))
             allowed = f"{length_text(move.target.tolerance)} and {move.target.angle_tolerance:g} rad are allowed"
             off = above_text(position_error, move.target.tolerance)
             reason = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
             reason = "; ".join([reason, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
-        if not reason and not self.drive.is_still(self._slices[tip]):
+        if not (is_judged or reason) and not self.drive.is_still(self._slices[tip]):
             reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
         if reason and not move.refusal and isinstance(self.drive, Stepper):
             q = self.drive.q_ref[self._slices[tip]]

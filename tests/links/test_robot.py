@@ -173,6 +173,22 @@ def test_a_robot_that_moved_between_plan_and_start_is_sent_nothing():
     assert robot.move_j([0.3, 0.2, -1.2])
 
 
+def test_a_move_that_came_to_rest_is_not_undone_by_the_next_reading():
+    robot = robot_of()
+    is_still = robot._drive.is_still
+    answers: list[bool] = []
+
+    def once(joints: slice) -> bool:
+        """Whether the joints rest, as measured; once they did, each later reading is off by a tremor."""
+        answers.append(not any(answers) and is_still(joints))
+        return answers[-1]
+
+    robot._drive.is_still = once
+    result = robot.move_j([0.5, 0.3, -1.0])
+    assert result, result.reason
+    assert any(answers)
+
+
 def test_a_motion_beyond_the_limits_is_not_sent():
     robot = robot_of(allow_contact=True)
     fast = robot.arm.with_limits(replace(robot.arm.limits, a_max=4 * robot.arm.limits.a_max, j_max=9 * robot.arm.limits.j_max))
