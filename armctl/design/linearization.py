@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 
 from armctl.control.interface import CompiledController, Controller, controller_name
 from armctl.core.errors import ArmctlError, InputError
-from armctl.core.validation import Array, integer, number
+from armctl.core.validation import Array, IntArray, integer, number
 from armctl.design.loop import MAX_DELAY_TICKS, Loop
 from armctl.design.state_space import StateSpace, linear_controller
 from armctl.mjmodel.dc_motor import current_state, remove_bristles
-from armctl.mjmodel.sensor_timing import SensorTiming
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.disturbances import encoder_steps
 from armctl.sim.drivetrain import drivetrain_of, motors_of
@@ -153,6 +152,9 @@ class Linearizer:
         self._written = np.concatenate([1 + moved.qpos_adr, 1 + model.nq + moved.dof_adr, *further])
         longest = float(model.actuator_delay[motors].max())
         self._past_torques = math.ceil(longest / self.dt - _WHOLE_TICK_TOLERANCE)
+        self._plant_in_words = str(self.plant)
+        self._noise = _sensor_noise(arm, self.plant)
+        self._ages = self.plant.sensor_delay + self._train.sensors.ages(np.arange(_SENSOR_TICKS), self.dt)
 
     def arm_at(self, q: Array) -> LinearArm:
         n = self.arm.n
@@ -189,11 +191,11 @@ class Linearizer:
             links, motors = self._sides(len(linear.A))
             linear = linear._replace(C=np.vstack([linear.C, motors - links]))
         linear = _jittered(linear, self.plant.jitter)
-        system, added = _sensed(linear, self.plant, self._train.sensors)
+        system, added = _sensed(linear, self.plant.differences_positions, self._ages)
         return Loop(
             robot=arm.name,
             controller=controller_name(controller),
-            plant=str(self.plant),
+            plant=self._plant_in_words,
             joint_names=arm.joint_names,
             q=q,
             dt=self.dt,
@@ -204,7 +206,7 @@ class Linearizer:
             _position=np.hstack([linear.position, np.zeros((arm.n, added))]),
             _law=linear_controller(arm, controller, q, self.dt, self.plant.continuous),
             _tip_jacobian=arm.jacobian(q)[:3],
-            _noise=_sensor_noise(arm, self.plant),
+            _noise=self._noise,
         )
 
     def _rest_at(self, q: Array) -> Array:
@@ -298,13 +300,11 @@ def _jittered(arm: LinearArm, jitter: int) -> LinearArm:
     return arm._replace(A=A, B=B, C=np.pad(arm.C, more), push=push, position=np.pad(arm.position, more))
 
 
-def _sensed(arm: LinearArm, plant: Plant, sensors: SensorTiming) -> tuple[StateSpace, int]:
-    """An arm with its sensors, and how many states they add. Held measurements are the mean of all ages that they get."""
+def _sensed(arm: LinearArm, is_differenced: bool, ages: IntArray) -> tuple[StateSpace, int]:
+    """An arm with its sensors, and how many states they add. Held measurements are the mean of all (k, n) ages that they get."""
     size = len(arm.A)
     n = arm.B.shape[1]
     signals = len(arm.C)
-    is_differenced = plant.differences_positions
-    ages = plant.sensor_delay + sensors.ages(np.arange(_SENSOR_TICKS), arm.dt)
     added = n * is_differenced + signals * int(ages.max())
     A = np.zeros((size + added, size + added))
     A[:size, :size] = arm.A

@@ -450,7 +450,7 @@ def coarse_margins_around(plant: ComplexArray, loop: Loop, others: Sequence[Loop
 
 def _coarse_transfer(plant: ComplexArray, loop: Loop, points: IntArray | slice) -> ComplexArray:
     z = np.exp(1j * coarse_grid(loop.dt)[points] * loop.dt)
-    return np.asarray(-loop._law.transfer(z) @ plant[points], dtype=np.complex128)
+    return np.asarray(-(loop._law.transfer(z) @ plant[points]), dtype=np.complex128)
 
 
 def coarse_plant(loop: Loop) -> ComplexArray:

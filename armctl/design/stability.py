@@ -113,7 +113,7 @@ class CoarseMargins(NamedTuple):
 
     delay: Array  # (n,) s, for the eigenvalues of the loop transfer function in the order of their magnitudes
     peak_sensitivity: Array  # (n,) of the joints, with the loops of the other joints closed
-    decisive: IntArray  # indices of the frequencies that both depend on, as they do after a small change of the loop
+    decisive: IntArray  # indices of the frequencies that the margins of loops judged at once depend on, also after a small change
 
 
 def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray) -> CoarseMargins:
@@ -127,7 +127,8 @@ def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray)
 def coarse_margins_of(frequencies: Array, transfer: ComplexArray) -> CoarseMargins:
     """As `coarse_margins` of a stable loop, for which the decisive frequencies are enough."""
     sensitivity = _sensitivity(transfer)
-    return _coarse_margins(frequencies, _eigenvalues(transfer, sensitivity), np.diagonal(sensitivity, axis1=1, axis2=2))
+    eigenvalues = _eigenvalues(transfer, sensitivity)
+    return _coarse_margins(frequencies, eigenvalues[None], np.diagonal(sensitivity, axis1=1, axis2=2)[None])[0]
 
 
 def _eigenvalues(transfer: ComplexArray, sensitivity: ComplexArray) -> ComplexArray:
@@ -151,32 +152,33 @@ def coarse_margins_near(frequencies: Array, transfer: ComplexArray, changes: Com
     by_change = sensitivity @ changes @ sensitivity
     later = eigenvalues + np.diagonal(turned, axis1=2, axis2=3)
     sensitivities = np.diagonal(sensitivity - by_change, axis1=2, axis2=3)
-    return [_coarse_margins(frequencies, *each) for each in zip(later, sensitivities, strict=True)]
+    return _coarse_margins(frequencies, later, sensitivities)
 
 
-def _coarse_margins(frequencies: Array, eigenvalues: ComplexArray, sensitivities: ComplexArray) -> CoarseMargins:
-    n = eigenvalues.shape[1]
-    eigenvalues = np.take_along_axis(eigenvalues, np.abs(eigenvalues).argsort(axis=1), axis=1)
+def _coarse_margins(frequencies: Array, eigenvalues: ComplexArray, sensitivities: ComplexArray) -> list[CoarseMargins]:
+    """Of m loops at once, from the eigenvalues of their transfer functions and the sensitivities of their joints, (m, k, n)."""
+    count, _, n = eigenvalues.shape
+    eigenvalues = np.take_along_axis(eigenvalues, np.abs(eigenvalues).argsort(axis=2), axis=2)
     size = np.log(np.abs(eigenvalues))
-    angle = np.angle(eigenvalues)
-    intervals, ranks = np.nonzero((size[1:] > 0.0) != (size[:-1] > 0.0))
+    loops, intervals, ranks = np.nonzero((size[:, 1:] > 0.0) != (size[:, :-1] > 0.0))
     # Eigenvalues of one rank are interpolated, magnitude and frequency geometrically.
-    before = size[intervals, ranks]
-    share = before / (before - size[intervals + 1, ranks])
-    start = angle[intervals, ranks]
-    turn = (angle[intervals + 1, ranks] - start + pi) % (2 * pi) - pi
+    before = size[loops, intervals, ranks]
+    share = before / (before - size[loops, intervals + 1, ranks])
+    start = np.angle(eigenvalues[loops, intervals, ranks])
+    turn = (np.angle(eigenvalues[loops, intervals + 1, ranks]) - start + pi) % (2 * pi) - pi
     w = frequencies[intervals] * (frequencies[intervals + 1] / frequencies[intervals]) ** share
-    delay = np.full(n, inf)
-    np.minimum.at(delay, ranks, (start + share * turn + pi) % (2 * pi) / w)
+    delay = np.full((count, n), inf)
+    np.minimum.at(delay, (loops, ranks), (start + share * turn + pi) % (2 * pi) / w)
     peaks, near = _peaks(np.log(frequencies), np.log(np.abs(sensitivities)))
-    return CoarseMargins(delay, np.exp(peaks), np.unique(np.concatenate([intervals, intervals + 1, near.ravel()])))
+    decisive = np.unique(np.concatenate([intervals, intervals + 1, near.ravel()]))
+    return [CoarseMargins(*each, decisive) for each in zip(delay, np.exp(peaks), strict=True)]
 
 
 def _peaks(x: Array, y: Array) -> tuple[Array, IntArray]:
-    """(n,) the maxima of the columns y (k, n) over x (k,), by parabolas through three points, and the (3, n) points."""
-    near = np.clip(y.argmax(axis=0), 1, len(x) - 2) + np.array([[-1], [0], [1]])
-    left, middle, right = np.take_along_axis(y, near, axis=0)
-    before, after = np.diff(x[near], axis=0)
+    """(m, n) the maxima of y (m, k, n) over x (k,), by parabolas through three points, and the (m, 3, n) points."""
+    near = np.clip(y.argmax(axis=1), 1, len(x) - 2)[:, None] + np.array([[-1], [0], [1]])
+    left, middle, right = np.take_along_axis(y, near, axis=1).swapaxes(0, 1)
+    before, after = np.diff(x[near], axis=1).swapaxes(0, 1)
     slope = (middle - left) / before
     bend = np.minimum(((right - middle) / after - slope) / (before + after), -np.finfo(float).tiny)
     slope = slope + bend * before

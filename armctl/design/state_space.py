@@ -50,7 +50,7 @@ class StateSpace:
     def transfer(self, z: ComplexArray) -> ComplexArray:
         """(len(z), outputs, inputs), the transfer function C (z - A)^-1 B + D."""
         if not len(self.A):
-            return np.tile(self.D.astype(complex), (len(z), 1, 1))
+            return np.broadcast_to(self.D.astype(complex), (len(z), *self.D.shape))
         identity = np.eye(len(self.A))
         B = np.broadcast_to(self.B.astype(complex), (len(z), *self.B.shape))
         return self.C @ np.linalg.solve(z[:, None, None] * identity - self.A, B) + self.D
@@ -85,7 +85,8 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
 
 def _static(run: _Run, n: int) -> StateSpace:
     sizes = np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], n)
-    difference = run(np.diag(sizes)) - run(-np.diag(sizes))
+    rows = run(np.vstack([np.diag(sizes), -np.diag(sizes)]))
+    difference = rows[: len(sizes)] - rows[len(sizes) :]
     nothing = np.zeros((0, 0))
     return StateSpace(nothing, np.zeros((0, 2 * n)), np.zeros((n, 0)), (difference / (2 * sizes[:, None])).T)
 
