@@ -301,7 +301,7 @@ def _jittered(arm: LinearArm, jitter: int) -> LinearArm:
 
 
 def _sensed(arm: LinearArm, is_differenced: bool, ages: IntArray) -> tuple[StateSpace, int]:
-    """An arm with its sensors, and how many states they add. Held measurements are the mean of all (k, n) ages that they get."""
+    """An arm with its sensors, and how many states they add. Held measurements are the mean of all their (k, n) ages."""
     size = len(arm.A)
     n = arm.B.shape[1]
     signals = len(arm.C)

@@ -127,23 +127,26 @@ def margins(arm: Arm, controller: Controller | str, poses: int | ArrayLike = 20,
 
 
 def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int | ArrayLike) -> list[Loop]:
-    """The loops of a controller at `configurations`, and the worst ones that searches find if those are not given.
-
-    For each margin, searches begin at the worst ones of these configurations and those of `search_starts`.
-    """
+    """The loops of a controller at `configurations`, and the worst ones that searches find if those are not given."""
     cases = [(linearizer, q) for linearizer in linearizers for q in configurations(linearizer.arm, poses)]
     loops = [linearizer.loop_at(law, q) for linearizer, q in cases]
     if _dimensions(poses):
         return loops
-    found = [loop.coarse_margins() for loop in loops]
-    further = [(linearizer, q) for linearizer in linearizers for q in search_starts(linearizer.arm, loops[0])]
-    cases += further
-    found += [linearizer.loop_at(law, q).coarse_margins() for linearizer, q in further]
+    cases += [(linearizer, q) for linearizer in linearizers for q in search_starts(linearizer.arm, loops[0])]
+    known = loops + [linearizer.loop_at(law, q) for linearizer, q in cases[len(loops) :]]
+    found = [loop.coarse_margins() for loop in known]
+    return loops + worst_loops([linearizer for linearizer, _ in cases], law, known, found)
+
+
+def worst_loops(
+    linearizers: Sequence[Linearizer], law: Controller, loops: Sequence[Loop], found: Sequence[CoarseMargins]
+) -> list[Loop]:
+    """The worst loops that searches find; they begin at the worst of these loops, whose linearizers and margins are given."""
+    worst: list[Loop] = []
     for score in (lambda margins: float(margins.delay.min()), lambda margins: -float(margins.peak_sensitivity.max())):
-        for i in np.argsort([score(each) for each in found])[: _SEARCHES if further else 1]:
-            linearizer, q = cases[i]
-            loops.append(_worst_loop(linearizer, law, q, score))
-    return loops
+        for i in np.argsort([score(each) for each in found])[: _SEARCHES if loops[0].has_static_law else 1]:
+            worst.append(_worst_loop(linearizers[i], law, loops[i].q, score))
+    return worst
 
 
 def search_starts(arm: Arm, loop: Loop) -> Array:

@@ -113,7 +113,7 @@ class CoarseMargins(NamedTuple):
 
     delay: Array  # (n,) s, for the eigenvalues of the loop transfer function in the order of their magnitudes
     peak_sensitivity: Array  # (n,) of the joints, with the loops of the other joints closed
-    decisive: IntArray  # indices of the frequencies that the margins of loops judged at once depend on, also after a small change
+    decisive: IntArray  # indices of the frequencies that matter for any of the loops judged at once, also after small changes
 
 
 def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray) -> CoarseMargins:

@@ -22,7 +22,7 @@ from armctl.core.result import Verdict
 from armctl.core.validation import Array, frozen, number, shown
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import MIN_DAMPING_RATIO, Loop, Mode, coarse_margins_around, coarse_margins_with, coarse_plant
-from armctl.design.margins import configurations, judged_loops, search_starts
+from armctl.design.margins import configurations, search_starts, worst_loops
 from armctl.design.stability import CoarseMargins
 from armctl.design.state_space import ComplexArray, linear_controller
 from armctl.robot.arm import Arm, check_arm
@@ -433,27 +433,39 @@ class _Judge:
     ):
         arm = linearizers[0].arm
         self.linearizers = linearizers
-        self._poses = poses
         self._bounds = bounds
         given = configurations(arm, poses)
         sampled = np.vstack([arm.limits.clamp(arm.home), sample_configurations(arm)[-design_poses:]])
-        self.design = _Design(arm, _cases(linearizers, given if np.ndim(poses) else sampled), bounds)
-        loops = self.loops(default)
-        self.before = self.figures(loops)
-        self._pool = [] if np.ndim(poses) else _cases(linearizers, np.vstack([given, search_starts(arm, loops[0])]))
-
-    def loops(self, controller: Controller) -> list[Loop]:
-        return judged_loops(self.linearizers, controller, self._poses)
+        self._has_searches = not np.ndim(poses)
+        self.design = _Design(arm, _cases(linearizers, sampled if self._has_searches else given), bounds)
+        self._cases = _cases(linearizers, given)
+        self._given = len(self._cases)
+        if self._has_searches:
+            self._cases += _cases(linearizers, search_starts(arm, self._cases[0].with_controller(default)))
+        self.before = self.figures(self._judged(default, *self._known(default)))
 
     def violating(self, controller: Controller) -> tuple[list[_Case], list[Loop]]:
         """The worst cases that violate a bound, and all loops that were judged. They are searched for if no known one does."""
-        left = [float(self._bounds.left(case.margins(controller)).min()) for case in self._pool]
-        worst = [self._pool[i] for i in np.argsort(left)[:_ADDED] if left[i] < -_TOLERANCE]
-        if worst:
+        known, found = self._known(controller)
+        left = [float(self._bounds.left(each).min()) for each in found]
+        worst = [self._cases[i] for i in np.argsort(left)[:_ADDED] if left[i] < -_TOLERANCE]
+        if worst and self._has_searches:
             return worst, []
         at = {str(linearizer.plant): linearizer for linearizer in self.linearizers}
-        loops = self.loops(controller)
+        loops = self._judged(controller, known, found)
         return [_Case(at[loop.plant], loop, coarse_plant(loop)) for loop in self._bounds.violating(loops)], loops
+
+    def _known(self, controller: Controller) -> tuple[list[Loop], list[CoarseMargins]]:
+        """The loops of the known configurations, and their margins."""
+        loops = [case.with_controller(controller) for case in self._cases]
+        return loops, [coarse_margins_with(case.transfer, loop) for case, loop in zip(self._cases, loops, strict=True)]
+
+    def _judged(self, controller: Controller, known: list[Loop], found: list[CoarseMargins]) -> list[Loop]:
+        """As `judged_loops`, where those of the known configurations are there."""
+        loops = known[: self._given]
+        if self._has_searches:
+            loops += worst_loops([case.linearizer for case in self._cases], controller, known, found)
+        return loops
 
     def figures(self, loops: Sequence[Loop]) -> LoopFigures:
         found = [loop.robustness() for loop in loops]
