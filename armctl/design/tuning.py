@@ -209,9 +209,8 @@ class _Bounds:
             sensitivity = np.log(self.peak_sensitivity / (_RESERVE * found.peak_sensitivity))
         return np.clip([delay, sensitivity], _UNSTABLE, 1.0)
 
-    def violating(self, loops: Sequence[Loop]) -> list[Loop]:
+    def violating(self, loops: Sequence[Loop], coarse: Sequence[CoarseMargins]) -> list[Loop]:
         """Those that violate a bound by their coarse margins; if none does so, by their margins."""
-        coarse = [loop.coarse_margins() for loop in loops]
         kept = [
             each.delay.min() >= self.delay_margin and each.peak_sensitivity.max() <= self.peak_sensitivity for each in coarse
         ]
@@ -439,7 +438,7 @@ class _Judge:
         self._has_searches = not np.ndim(poses)
         self.design = _Design(arm, _cases(linearizers, sampled if self._has_searches else given), bounds)
         self._cases = _cases(linearizers, given)
-        self._given = len(self._cases)
+        self._given = len(self._cases)  # how many of the cases are judged; searches may begin at the others, too
         if self._has_searches:
             self._cases += _cases(linearizers, search_starts(arm, self._cases[0].with_controller(default)))
         self.before = self.figures(self._judged(default, *self._known(default)))
@@ -453,7 +452,8 @@ class _Judge:
             return worst, []
         at = {str(linearizer.plant): linearizer for linearizer in self.linearizers}
         loops = self._judged(controller, known, found)
-        return [_Case(at[loop.plant], loop, coarse_plant(loop)) for loop in self._bounds.violating(loops)], loops
+        coarse = found[: self._given] + [loop.coarse_margins() for loop in loops[self._given :]]
+        return [_Case(at[loop.plant], loop, coarse_plant(loop)) for loop in self._bounds.violating(loops, coarse)], loops
 
     def _known(self, controller: Controller) -> tuple[list[Loop], list[CoarseMargins]]:
         """The loops of the known configurations, and their margins."""
@@ -461,7 +461,7 @@ class _Judge:
         return loops, [coarse_margins_with(case.transfer, loop) for case, loop in zip(self._cases, loops, strict=True)]
 
     def _judged(self, controller: Controller, known: list[Loop], found: list[CoarseMargins]) -> list[Loop]:
-        """As `judged_loops`, where those of the known configurations are there."""
+        """As `judged_loops`, from the loops of the known configurations."""
         loops = known[: self._given]
         if self._has_searches:
             loops += worst_loops([case.linearizer for case in self._cases], controller, known, found)

@@ -150,25 +150,29 @@ class ControlledArms:
         drive = self.drive
         trajectories = {tip: each.trajectory for tip, each in moves.items() if each.trajectory is not None}
         if not trajectories:
-            return {tip: self._result(tip, each, 0.0, each.refusal, None) for tip, each in moves.items()}
+            return {tip: _result(each, self.tip_pose(tip), 0.0, each.refusal, None) for tip, each in moves.items()}
         begin = drive.data.time
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         reference = self._reference(trajectories, ticks_for(max(durations.values()), drive.dt))
         targets = {tip: each.target.numbers for tip, each in moves.items()}
+        tips: dict[str, Pose] = {}
         is_done = False
         with self.recording(durations, targets) as recorder:
             self._run(trajectories, reference, recorder)
             hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + _SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:
+                tips = {tip: self.tip_pose(tip) for tip in moves}
                 still = all(drive.is_still(self._slices[tip]) for tip in trajectories)
-                is_done = still and all(moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories)
+                is_done = still and all(moves[tip].target.is_reached(tips[tip]) for tip in trajectories)
                 if is_done:
                     break
                 drive.run(self._controller, hold, recorder)
         duration = float(drive.data.time - begin)
-        reasons = {tip: self._reason(tip, each, is_done) for tip, each in moves.items()}
-        return {tip: self._result(tip, each, duration, reasons[tip], self._logs[tip]) for tip, each in moves.items()}
+        if not is_done:
+            tips = {tip: self.tip_pose(tip) for tip in moves}
+        reasons = {tip: self._reason(tip, each, tips[tip], is_done) for tip, each in moves.items()}
+        return {tip: _result(each, tips[tip], duration, reasons[tip], self._logs[tip]) for tip, each in moves.items()}
 
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
@@ -263,33 +267,39 @@ class ControlledArms:
                 row[:, self._slices[tip]] = column
         return rows
 
-    def _reason(self, tip: str, move: PlannedMove, is_done: bool) -> str:
-        """Why a move that ran is not ok; empty if it is. Where all were done, the next reading of a robot may not undo it."""
+    def _reason(self, tip: str, move: PlannedMove, pose: Pose, is_done: bool) -> str:
+        """Why a move that ran is not ok; empty if it is. One that was found done is not judged again."""
         reason = move.refusal or self.drive.failure
-        is_judged = bool(reason) or is_done
-        if not is_judged and not move.target.is_reached(self.tip_pose(tip)):
-            position_error, orientation_error = move.target.distance(self.tip_pose(tip))
-            allowed = f"{length_text(move.target.tolerance)} and {move.target.angle_tolerance:g} rad are allowed"
-            off = above_text(position_error, move.target.tolerance)
-            reason = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
-            reason = "; ".join([reason, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
-        if not (is_judged or reason) and not self.drive.is_still(self._slices[tip]):
-            reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
+        if not reason and not is_done:
+            reason = self._shortfall(tip, move, pose)
         if reason and not move.refusal and isinstance(self.drive, Stepper):
             q = self.drive.q_ref[self._slices[tip]]
             reason += hooks.instability(self.arms[tip], self.controllers[tip], q, self.drive.plant)
         return reason
 
-    def _result(self, tip: str, move: PlannedMove, duration: float, reason: str, log: Log | None) -> MoveResult:
-        position_error, orientation_error = move.target.distance(self.tip_pose(tip))
-        return MoveResult(
-            ok=not reason,
-            position_error=position_error,
-            orientation_error=orientation_error,
-            duration=duration,
-            reason=reason,
-            log=log,
-        )
+    def _shortfall(self, tip: str, move: PlannedMove, pose: Pose) -> str:
+        """How a tip at a pose misses its target, or that it has not come to rest; empty if neither."""
+        if not move.target.is_reached(pose):
+            position_error, orientation_error = move.target.distance(pose)
+            allowed = f"{length_text(move.target.tolerance)} and {move.target.angle_tolerance:g} rad are allowed"
+            off = above_text(position_error, move.target.tolerance)
+            missed = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
+            return "; ".join([missed, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
+        if not self.drive.is_still(self._slices[tip]):
+            return f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
+        return ""
+
+
+def _result(move: PlannedMove, pose: Pose, duration: float, reason: str, log: Log | None) -> MoveResult:
+    position_error, orientation_error = move.target.distance(pose)
+    return MoveResult(
+        ok=not reason,
+        position_error=position_error,
+        orientation_error=orientation_error,
+        duration=duration,
+        reason=reason,
+        log=log,
+    )
 
 
 class _JointController:
