@@ -18,7 +18,7 @@ _COLUMNS: dict[str, Callable[[Margins], str]] = {
     "controller": lambda m: m.controller,
     "delay margin, ms": lambda m: _text(1e3 * m.delay.value, ".1f"),
     "in ticks": lambda m: str(int(m.delay.value / m.dt)) if isfinite(m.delay.value) else "-",
-    "gain margin": lambda m: _text(m.gain.value, ".3g"),
+    "gain margin": lambda m: m.gain_in_words,
     "phase margin, deg": lambda m: _text(degrees(m.phase.value), ".0f"),
     "Ms": lambda m: _text(m.peak_sensitivity.value, ".2f"),
     "least damping": lambda m: _text(m.damping.value, ".2g"),

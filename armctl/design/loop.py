@@ -21,7 +21,7 @@ from armctl.design.stability import (
     coarse_grid,
     coarse_margins,
     coarse_margins_near,
-    frequency_grid,
+    loop_frequencies,
     loop_margins,
     robustness,
 )
@@ -142,7 +142,7 @@ class Loop:
         return loop_margins(self.system, self.dt)
 
     def margins(self) -> LoopMargins:
-        """Delay, gain and phase margin, and the peak sensitivity.
+        """Delay, gain (lower and upper) and phase margin, and the peak sensitivity.
 
         Returns:
             The margins; not ok if the closed loop is unstable.
@@ -150,7 +150,7 @@ class Loop:
         return self._margins
 
     def robustness(self) -> LoopMargins:
-        """The margins without the gain margin, which takes longest to compute and is infinite here."""
+        """The margins without the gain margins, which are NaN here unless the closed loop is unstable."""
         return robustness(self.system, self.dt)
 
     @cached_property
@@ -410,7 +410,7 @@ def _largest_displacement(A: Array, push: Array, position: Array) -> Array:
 def draw_loop(figure: Figure, loop: Loop) -> None:
     """Three panels: Nyquist curve and sensitivity of each joint with the other joints closed, and the tip's compliance."""
     nyquist, sensitivity, compliance = figure.subplots(1, 3)
-    frequencies = frequency_grid(loop.dt)
+    frequencies = loop_frequencies(loop.system, loop.dt)
     hertz = frequencies / (2 * np.pi)
     diagonal = np.diagonal(loop.sensitivity(frequencies), axis1=1, axis2=2)
     for i, name in enumerate(loop.joint_names):

@@ -45,7 +45,9 @@ class Margins(Verdict):
         ok: Whether the closed loop is stable everywhere, and no vibration has a damping ratio below 0.1.
         dt: s, the control period of the plant with the least delay margin.
         delay: The smallest delay margin, s.
-        gain: The smallest gain margin, a factor above 1.
+        gain: The gain margin nearest to 1 as a ratio: the lower or the upper one.
+        lower_gain: The largest lower gain margin, a factor below 1 on all torques that makes the loop unstable; 0 if none does.
+        upper_gain: The smallest upper gain margin, a factor above 1; infinite if none makes the loop unstable.
         phase: The smallest phase margin, rad.
         peak_sensitivity: The largest Ms.
         damping: The smallest damping ratio of `Loop.vibrations`; infinite if there are none, 0 of an unstable loop.
@@ -61,6 +63,8 @@ class Margins(Verdict):
     dt: float
     delay: WorstMargin
     gain: WorstMargin
+    lower_gain: WorstMargin
+    upper_gain: WorstMargin
     phase: WorstMargin
     peak_sensitivity: WorstMargin
     damping: WorstMargin
@@ -76,9 +80,15 @@ class Margins(Verdict):
         chatter = f", torque noise {self.chatter.value:.2g} N m" if self.chatter.value else ""
         return (
             f"{self.controller} on {self.robot}, worst of {self.loops} loops: delay margin {1e3 * self.delay.value:.3g} ms, "
-            f"gain margin {self.gain.value:.3g}, phase margin {degrees(self.phase.value):.3g} deg, "
+            f"gain margin {self.gain_in_words}, phase margin {degrees(self.phase.value):.3g} deg, "
             f"Ms {self.peak_sensitivity.value:.3g}{damping}{chatter}"
         )
+
+    @property
+    def gain_in_words(self) -> str:
+        """The upper gain margin, after the lower one if there is one."""
+        upper = f"{self.upper_gain.value:.3g}"
+        return f"{self.lower_gain.value:.3g} (lower) and {upper} (upper)" if self.lower_gain.value > 0.0 else upper
 
     def to_dict(self) -> dict[str, object]:
         """All figures for JSON; an infinite margin is None."""
@@ -91,7 +101,7 @@ class Margins(Verdict):
             "loops": self.loops,
             "frequency": self.frequency if isfinite(self.frequency) else None,
         }
-        for name in ("delay", "gain", "phase", "peak_sensitivity", "damping", "chatter"):
+        for name in ("delay", "gain", "lower_gain", "upper_gain", "phase", "peak_sensitivity", "damping", "chatter"):
             worst: WorstMargin = getattr(self, name)
             value = worst.value if isfinite(worst.value) else None
             figures[name] = {"value": value, "q": worst.q.tolist(), "plant": worst.plant}
@@ -191,13 +201,16 @@ def _worst(arm: Arm, law: Controller, loops: list[Loop], found: list[LoopMargins
     least = [loop.least_damped() for loop in loops]
     ratios = [each.damping_ratio for each in least]
     delays = [each.delay_margin for each in found]
+    gains = [each.gain_margin for each in found]
     return Margins(
         ok=min(ratios) >= MIN_DAMPING_RATIO,
         robot=arm.name,
         controller=controller_name(law),
         dt=loops[int(np.argmin(delays))].dt,
         delay=_worst_of(loops, delays),
-        gain=_worst_of(loops, [each.gain_margin for each in found]),
+        gain=_worst_of(loops, gains, lambda values: np.argmin(np.maximum(values, 1 / np.array(values)))),
+        lower_gain=_worst_of(loops, [each.lower_gain_margin for each in found], np.argmax),
+        upper_gain=_worst_of(loops, [each.upper_gain_margin for each in found]),
         phase=_worst_of(loops, [each.phase_margin for each in found]),
         peak_sensitivity=_worst_of(loops, [each.peak_sensitivity for each in found], np.argmax),
         damping=_worst_of(loops, ratios),

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
-from math import inf, pi
+from math import inf, log, nan, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -14,15 +13,18 @@ from armctl.core.result import Verdict
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.design.state_space import ComplexArray, StateSpace
 
-_MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
+_MIN_FREQUENCY = 0.3  # rad/s; most arms do nothing below it, and the grid of others begins lower
+_SLOWEST = (0.1, 1e-3)  # of the slowest pole: where the dense grid begins, and below it one of an asymptote
+_POINTS_PER_E = (25, 3)  # points per factor e, of these two
+_MIN_CYCLE = 1e-8  # rad, the smallest turn in a period that rounding leaves exact
 _GRID_POINTS = 400
 _COARSE_POINTS = 70  # of `coarse_grid`
-_BISECTIONS = 40
 _MIN_RESONANCE = 0.5  # magnitude of a pole; others change little between two points of the grid
+_NARROW = 0.1  # width of a resonance of the closed loop / its frequency, above which the grid is fine enough
 _RESONANCE_WIDTHS = np.concatenate([-np.geomspace(10.0, 0.1, 12), [0.0], np.geomspace(0.1, 10.0, 12)])
 _SECANT_STEPS = 12
-_MAX_GAIN = 100.0  # a larger gain margin is reported as infinite
-_GAIN_STEPS = 60  # between 1 and the largest gain, geometric
+_MAX_GAIN = 100.0  # a larger gain margin is reported as infinite, and one below its inverse as 0
+_REAL = 1e-3  # rad, the angle up to which an eigenvalue is real; slow loops are not computed better
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +36,10 @@ class LoopMargins(Verdict):
     Attributes:
         ok: Whether the closed loop is stable.
         delay_margin: s, the smallest additional delay that makes it unstable; infinite if there is none.
-        gain_margin: The smallest factor above 1 on all torques that makes it unstable; infinite above 100.
+        gain_margin: The factor on all torques that makes it unstable: the lower or the upper one, whichever is nearer to 1 as a
+            ratio; NaN if it was not computed.
+        lower_gain_margin: The largest factor below 1 that makes it unstable, as where a motor saturates; 0 below 0.01.
+        upper_gain_margin: The smallest factor above 1 that makes it unstable; infinite above 100.
         phase_margin: rad, the smallest phase shift, lag or lead, that makes it unstable; infinite if there is none.
         peak_sensitivity: Ms, the largest sensitivity of any joint at any frequency, with the loops of the other joints closed.
         spectral_radius: The largest magnitude of an eigenvalue of the closed loop; below 1 if it is stable.
@@ -43,16 +48,27 @@ class LoopMargins(Verdict):
 
     ok: bool
     delay_margin: float
-    gain_margin: float
+    lower_gain_margin: float
+    upper_gain_margin: float
     phase_margin: float
     peak_sensitivity: float
     spectral_radius: float
     reason: str
 
+    @property
+    def gain_margin(self) -> float:
+        lower = self.lower_gain_margin
+        return lower if lower * self.upper_gain_margin > 1.0 else self.upper_gain_margin
+
 
 def frequency_grid(dt: float, points: int = _GRID_POINTS) -> Array:
     """(points,) rad/s, geometric, up to the Nyquist frequency of a control period dt in s."""
     return np.geomspace(_MIN_FREQUENCY, (1 - 1e-6) * pi / dt, points)
+
+
+def loop_frequencies(loop: StateSpace, dt: float) -> Array:
+    """(k,) rad/s, `frequency_grid` and what it leaves out of a loop: its slow poles and its narrow resonances."""
+    return _frequencies(loop, dt, _closed_poles(loop))
 
 
 def loop_margins(loop: StateSpace, dt: float) -> LoopMargins:
@@ -61,29 +77,35 @@ def loop_margins(loop: StateSpace, dt: float) -> LoopMargins:
     The loop is on the verge of instability where an eigenvalue of L(jw) is -1; see MacFarlane and Postlethwaite, "The
     generalized Nyquist stability criterion and multivariable root loci" (1977).
     """
-    found = robustness(loop, dt)
-    return replace(found, gain_margin=_gain_margin(loop)) if found else found
+    return _margins(loop, dt, True)
 
 
 def robustness(loop: StateSpace, dt: float) -> LoopMargins:
-    """As `loop_margins` without the gain margin, which takes longest and is infinite here."""
-    radius = _spectral_radius(loop, 1.0)
+    """As `loop_margins` without the gain margins, which are NaN here unless the closed loop is unstable."""
+    return _margins(loop, dt, False)
+
+
+def _margins(loop: StateSpace, dt: float, has_gain: bool) -> LoopMargins:
+    poles = _closed_poles(loop)
+    radius = float(np.abs(poles).max())
     if not radius < 1.0:
         reason = f"the closed loop is unstable: an eigenvalue has the magnitude {radius:.4g}"
-        return LoopMargins(False, 0.0, 1.0, 0.0, inf, radius, reason)
-    frequencies = _with_resonances(frequency_grid(dt), loop, dt)
+        return LoopMargins(False, 0.0, 1.0, 1.0, 0.0, inf, radius, reason)
+    frequencies = _frequencies(loop, dt, poles)
     transfer = loop.transfer(np.exp(1j * frequencies * dt))
-    crossings = _unit_crossings(loop, dt, frequencies, transfer)
+    eigenvalues = np.linalg.eigvals(transfer)
     delay_margin = inf
     phase_margin = inf
-    for crossing in crossings:
+    for crossing in _unit_crossings(loop, dt, frequencies, eigenvalues):
         lag = (np.angle(crossing.eigenvalue) + pi) % (2 * pi)
         delay_margin = min(delay_margin, lag / crossing.frequency)
         phase_margin = min(phase_margin, lag, 2 * pi - lag)
+    lower, upper = _gain_margins(loop, dt, frequencies, eigenvalues) if has_gain else (nan, nan)
     return LoopMargins(
         ok=True,
         delay_margin=float(delay_margin),
-        gain_margin=inf,
+        lower_gain_margin=lower,
+        upper_gain_margin=upper,
         phase_margin=float(phase_margin),
         peak_sensitivity=float(np.abs(np.diagonal(_sensitivity(transfer), axis1=1, axis2=2)).max()),
         spectral_radius=radius,
@@ -91,10 +113,23 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
     )
 
 
-def _with_resonances(frequencies: Array, loop: StateSpace, dt: float) -> Array:
-    """Frequencies, and those of the resonances of the open loop, which can be narrower than a grid."""
-    poles = np.linalg.eigvals(loop.A)
-    poles = poles[(np.abs(poles) > _MIN_RESONANCE) & (poles.imag > 0.0)]
+def _frequencies(loop: StateSpace, dt: float, closed_poles: ComplexArray) -> Array:
+    """As `loop_frequencies`. The resonances of both the open and the closed loop can be narrower than the grid."""
+    frequencies = frequency_grid(dt)
+    sizes = np.abs(closed_poles)
+    rates = np.abs(np.log(closed_poles[sizes > _MIN_RESONANCE])) / dt
+    slowest = max(float(rates.min(initial=inf)) if len(rates) else inf, _MIN_CYCLE / dt)
+    for share, points in zip(_SLOWEST, _POINTS_PER_E, strict=True):
+        first = share * slowest
+        if first < frequencies[0]:
+            count = 1 + int(points * log(frequencies[0] / first))
+            frequencies = np.concatenate([np.geomspace(first, frequencies[0], count, endpoint=False), frequencies])
+    open_poles = np.linalg.eigvals(loop.A)
+    poles = np.concatenate([open_poles, closed_poles])
+    is_resonance = (np.abs(poles) > _MIN_RESONANCE) & (poles.imag > 0.0)
+    with np.errstate(divide="ignore"):
+        is_resonance[len(open_poles) :] &= np.abs(np.log(sizes)) < _NARROW * np.angle(closed_poles)
+    poles = poles[is_resonance]
     centers = np.angle(poles) / dt
     widths = np.maximum(np.abs(np.log(np.abs(poles))) / dt, 1e-6 * centers)
     around = (centers[:, None] + widths[:, None] * _RESONANCE_WIDTHS).ravel()
@@ -119,7 +154,7 @@ class CoarseMargins(NamedTuple):
 def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray) -> CoarseMargins:
     """Margins from the loop transfer function (k, n, n) on `coarse_grid`: for searches."""
     n = transfer.shape[1]
-    if not _spectral_radius(loop, 1.0) < 1.0:
+    if not np.abs(_closed_poles(loop)).max() < 1.0:
         return CoarseMargins(np.zeros(n), np.full(n, inf), np.arange(len(frequencies)))
     return coarse_margins_of(frequencies, transfer)
 
@@ -199,9 +234,9 @@ class _Crossing:
     eigenvalue: complex
 
 
-def _unit_crossings(loop: StateSpace, dt: float, frequencies: Array, transfer: ComplexArray) -> list[_Crossing]:
+def _unit_crossings(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: ComplexArray) -> list[_Crossing]:
     """All crossings of the unit circle. Sorted magnitudes are continuous, so eigenvalues need not be told apart on the way."""
-    sizes = np.sort(np.log(np.abs(np.linalg.eigvals(transfer))), axis=1)
+    sizes = np.sort(np.log(np.abs(eigenvalues)), axis=1)
     outside = sizes > 0.0
     intervals, ranks = np.nonzero(outside[1:] != outside[:-1])
     if not len(ranks):
@@ -226,20 +261,81 @@ def _unit_crossings(loop: StateSpace, dt: float, frequencies: Array, transfer: C
     return [_Crossing(float(w), complex(e)) for w, e in zip(np.exp(middle), eigenvalues[rows, nearest], strict=True)]
 
 
-def _gain_margin(loop: StateSpace) -> float:
-    gains = np.geomspace(1.0, _MAX_GAIN, _GAIN_STEPS + 1)
-    for low, high in pairwise(gains.tolist()):
-        if _spectral_radius(loop, high) < 1.0:
-            continue
-        for _ in range(_BISECTIONS // 2):
-            middle = 0.5 * (low + high)
-            if _spectral_radius(loop, middle) < 1.0:
-                low = middle
-            else:
-                high = middle
-        return float(low)
-    return inf
+def _gain_margins(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: ComplexArray) -> tuple[float, float]:
+    """The factors nearest to 1 on either side where an eigenvalue of the loop is real, -1 / factor.
+
+    Crossings at frequencies of zero and pi / dt, where the loop is real, belong to them.
+    """
+    ends = loop.transfer(np.array([-1.0 + 0.0j]))
+    found = [np.linalg.eigvals(ends).ravel()]
+    at_rest = _at_rest(loop)
+    if at_rest is not None:
+        found.append(np.linalg.eigvals(at_rest))
+    found.append(_real_crossings(loop, dt, frequencies, eigenvalues))
+    every = np.concatenate(found)
+    is_real = (every.real < 0.0) & (np.abs(every.imag) < _REAL * np.abs(every.real))
+    factors = -1 / every.real[is_real]
+    lower = float(factors[factors < 1.0].max(initial=0.0))
+    upper = float(factors[factors > 1.0].min(initial=inf))
+    return lower if lower >= 1 / _MAX_GAIN else 0.0, upper if upper <= _MAX_GAIN else inf
 
 
-def _spectral_radius(loop: StateSpace, gain: float) -> float:
-    return float(np.abs(np.linalg.eigvals(loop.A - gain * loop.B @ loop.C)).max())
+def _at_rest(loop: StateSpace) -> Array | None:
+    """(n, n) the loop transfer function at a frequency of zero; None if it integrates."""
+    try:
+        return loop.C @ np.linalg.solve(np.eye(len(loop.A)) - loop.A, loop.B)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _real_crossings(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: ComplexArray) -> ComplexArray:
+    """(k,) the eigenvalues of the loop where they cross the negative real axis within the largest gain."""
+    later = _followed(eigenvalues)
+    start = eigenvalues[:-1]
+    is_left = (start.real < 0.0) | (later.real < 0.0)
+    is_near = (np.abs(start) * 2 * _MAX_GAIN > 1.0) & (np.abs(later) < 2 * _MAX_GAIN)
+    intervals, columns = np.nonzero((start.imag > 0.0) != (later.imag > 0.0))
+    kept = (is_left & is_near)[intervals, columns]
+    intervals = intervals[kept]
+    low = np.log(frequencies[intervals])
+    high = np.log(frequencies[intervals + 1])
+    at_low = start[intervals, columns[kept]]
+    at_high = later[intervals, columns[kept]]
+    weight_low = np.sin(np.angle(at_low))
+    weight_high = np.sin(np.angle(at_high))
+    middle_value = at_low
+    for _ in range(_SECANT_STEPS if len(intervals) else 0):  # as in `_unit_crossings`
+        share = weight_low / (weight_low - weight_high)
+        middle = low + (high - low) * share
+        values = np.linalg.eigvals(loop.transfer(np.exp(1j * np.exp(middle) * dt)))
+        expected = at_low + (at_high - at_low) * share
+        nearest = np.abs(values - expected[:, None]).argmin(axis=1)
+        middle_value = values[np.arange(len(values)), nearest]
+        height = np.sin(np.angle(middle_value))
+        is_low = (height > 0.0) == (weight_low > 0.0)
+        weight_high = np.where(is_low, 0.5 * weight_high, height)
+        weight_low = np.where(is_low, height, 0.5 * weight_low)
+        low = np.where(is_low, middle, low)
+        high = np.where(is_low, high, middle)
+        at_low = np.where(is_low, middle_value, at_low)
+        at_high = np.where(is_low, at_high, middle_value)
+    return np.asarray(middle_value, dtype=np.complex128)
+
+
+def _followed(eigenvalues: ComplexArray) -> ComplexArray:
+    """(k - 1, n) the eigenvalue at the next frequency that continues each of (k, n), the nearest pairs first."""
+    start = eigenvalues[:-1]
+    later = eigenvalues[1:]
+    distance = np.abs(start[:, :, None] - later[:, None]) / (np.abs(start)[:, :, None] + np.abs(later)[:, None])
+    found = np.empty_like(start)
+    rows = np.arange(len(start))
+    for _ in range(start.shape[1]):
+        before, after = np.divmod(distance.reshape(len(start), -1).argmin(axis=1), start.shape[1])
+        found[rows, before] = later[rows, after]
+        distance[rows, before] = inf
+        distance[rows, :, after] = inf
+    return found
+
+
+def _closed_poles(loop: StateSpace) -> ComplexArray:
+    return np.linalg.eigvals(loop.A - loop.B @ loop.C).astype(np.complex128)

@@ -5,6 +5,7 @@ import re
 from collections import deque
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from arms import arm_of
@@ -112,9 +113,11 @@ def test_margins_agree_with_the_eigenvalues_of_the_closed_loop(arm, controller):
             ticks = int(found.delay_margin / dt)
             assert loop.delayed(ticks).margins().ok
             assert not loop.delayed(ticks + 1).margins().ok
-            for factor, is_stable in ((0.999, True), (1.001, False)):
-                closed = loop.A - factor * found.gain_margin * loop.B @ loop.C
-                assert (np.abs(np.linalg.eigvals(closed)).max() < 1.0) == is_stable
+            for gain, outwards in ((found.lower_gain_margin, 1 / 1.001), (found.upper_gain_margin, 1.001)):
+                for factor, is_stable in ((gain / outwards, True), (gain * outwards, False)) if gain else ((0.01, True),):
+                    closed = loop.A - factor * loop.B @ loop.C
+                    assert (np.abs(np.linalg.eigvals(closed)).max() < 1.0) == is_stable
+            assert found.gain_margin in (found.lower_gain_margin, found.upper_gain_margin)
 
 
 @pytest.mark.parametrize("controller", ["pd", "computed-torque", "computed-torque-observer"])
@@ -298,6 +301,7 @@ def test_the_worst_margins_name_their_configuration_and_plant(arm):
     ):
         (plant,) = [p for p in plants if str(p) == each.plant]
         assert of(armctl.linearize(arm, "pd-gravity", each.q, plant).margins()) == each.value
+    assert worst.lower_gain.value <= 1.0 <= worst.upper_gain.value
     given = armctl.margins(arm, "pd-gravity", [arm.home], [PLANT])
     assert given.delay.value >= worst.delay.value
     assert given.to_dict()["delay"]["value"] == given.delay.value
@@ -373,3 +377,42 @@ def test_an_arm_names_the_default_gains_whose_loops_are_too_sensitive(name: str,
         assert is_named == (peak > MAX_PEAK_SENSITIVITY)
         if is_named and law != "impedance":
             assert float(re.findall(r"sensitivity ([\d.]+)", named[0])[0]) == pytest.approx(peak, rel=0.2)
+
+
+def pendulum(dt, gravity="0 0 -9.81"):
+    """A mass of 2 kg at 0.4 m above a joint, which is upright at zero."""
+    return armctl.load(
+        mujoco.MjSpec.from_string(f"""
+        <mujoco><option timestep="{dt}" gravity="{gravity}"/><worldbody><body>
+          <joint name="swing" axis="0 1 0" range="-170 170"/>
+          <inertial pos="0 0 0.4" mass="2" diaginertia="0.02 0.02 0.02"/><site name="tool" pos="0 0 0.5"/>
+        </body></worldbody><actuator><motor joint="swing" ctrlrange="-50 50"/></actuator></mujoco>"""),
+        tip="tool",
+    )
+
+
+@pytest.mark.parametrize("stiffness", [9.0, 12.0, 40.0])
+def test_the_lower_gain_margin_of_a_pendulum_is_gravity_over_stiffness(stiffness):
+    arm = pendulum(0.001)
+    found = armctl.margins(arm, armctl.PD(arm, stiffness=stiffness, damping=2.0), [[0.0]])
+    falls = 2.0 * 9.81 * 0.4 / stiffness
+    assert found.ok
+    assert found.lower_gain.value == pytest.approx(falls, rel=1e-4)
+    assert found.gain.value == found.lower_gain.value
+    assert f"{falls:.3g} (lower)" in str(found)
+
+
+@pytest.mark.parametrize("bandwidth", [3.0, 0.1, 0.03, 0.007])
+def test_the_phase_margin_of_a_slow_loop_is_that_of_its_formula(bandwidth):
+    """The loop is (2 w0 s + w0^2) / s^2, which has the gain 1 at w0 (2 + 5^0.5)^0.5."""
+    arm = pendulum(0.01, "0 0 0")
+    loop = armctl.linearize(arm, armctl.ComputedTorque(arm, bandwidth=bandwidth, form="textbook"), [0.3])
+    found = loop.margins()
+    x = np.geomspace(0.1, 100.0, 20_000)
+    crossing = math.sqrt(2 + math.sqrt(5))
+    delay = 0.5 * 0.01 * bandwidth  # of a torque that is held through a semi-implicit step
+    assert found.phase_margin == pytest.approx(math.atan(2 * crossing) - delay * crossing, rel=2e-2)
+    assert found.delay_margin * bandwidth == pytest.approx(math.atan(2 * crossing) / crossing, abs=2 * delay)
+    L = (1 + 2j * x) / -(x**2) * np.exp(-1j * delay * x)
+    assert found.peak_sensitivity == pytest.approx(np.abs(1 / (1 + L)).max(), rel=5e-3)
+    assert found.peak_sensitivity > 1.0

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
+from scipy.optimize import brentq
 from scipy.signal import tf2ss
 
 from armctl.design.stability import loop_margins
@@ -11,10 +12,10 @@ from armctl.design.state_space import StateSpace
 DT = 1e-4
 
 
-def sampled(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> StateSpace:
+def sampled(A: np.ndarray, B: np.ndarray, C: np.ndarray, dt: float = DT) -> StateSpace:
     """A continuous system behind a zero-order hold."""
     n = len(A)
-    both = expm(np.block([[A, B], [np.zeros((B.shape[1], n + B.shape[1]))]]) * DT)
+    both = expm(np.block([[A, B], [np.zeros((B.shape[1], n + B.shape[1]))]]) * dt)
     return StateSpace(both[:n, :n], both[:n, n:], C, np.zeros((len(C), B.shape[1])))
 
 
@@ -66,3 +67,51 @@ def test_the_gain_margin_and_peak_sensitivity_of_three_lags_are_those_of_the_nyq
     w = np.geomspace(0.3, 100.0, 20_000)
     assert found.gain_margin == pytest.approx(4.0, rel=2e-3)
     assert found.peak_sensitivity == pytest.approx(np.abs(1 / (1 + 2 / (1j * w + 1) ** 3)).max(), rel=2e-3)
+
+
+@pytest.mark.parametrize("rate", [30.0, 1.0, 0.05, 0.002])
+def test_margins_do_not_depend_on_the_unit_of_time(rate):
+    """rate / (s (1 + s / (2 rate))) at any rate, in rad/s: gain 1 where x^2 (1 + x^2 / 4) = 1 with x = w / rate."""
+    dt = 0.002 / rate
+    A, B, C, _ = tf2ss([rate], [0.5 / rate, 1.0, 0.0])
+    found = loop_margins(sampled(A, B, C, dt), dt)
+    x = np.sqrt(2 * (np.sqrt(2.0) - 1))
+    assert found.phase_margin == pytest.approx(np.pi / 2 - np.arctan(x / 2), rel=2e-3)
+    assert found.delay_margin == pytest.approx((np.pi / 2 - np.arctan(x / 2)) / x / rate, rel=2e-3)
+    w = np.geomspace(0.01, 100.0, 20_000)
+    assert found.peak_sensitivity == pytest.approx(np.abs(1 / (1 + 1 / (1j * w * (1 + 0.5j * w)))).max(), rel=2e-3)
+
+
+def test_the_lower_gain_margin_of_three_integrators_is_that_of_the_nyquist_plot():
+    """(s + 0.1)^2 / (s^3 (s + 1)) turns through -180 degrees at a low frequency, where its gain is far above 1."""
+    A, B, C, _ = tf2ss([1.0, 0.2, 0.01], [1.0, 1.0, 0.0, 0.0, 0.0])
+    found = loop_margins(sampled(A, B, C, 0.01), 0.01)
+    w = brentq(lambda w: 2 * np.arctan(w / 0.1) - np.arctan(w) - np.pi / 2, 0.05, 0.5)
+    assert found.lower_gain_margin == pytest.approx(w**3 * abs(1j * w + 1) / abs(1j * w + 0.1) ** 2, rel=1e-2)
+    assert found.gain_margin == found.lower_gain_margin
+    assert found.upper_gain_margin > 100.0
+
+
+def test_margins_of_several_inputs_agree_with_eigenvalues_over_all_gains():
+    rng = np.random.default_rng(3)
+    finite = 0
+    for _ in range(12):
+        m = rng.integers(1, 4)
+        size = 2 * m + 1
+        dt = 10.0 ** rng.uniform(-3, -1)
+        A = rng.normal(size=(size, size))
+        A *= 10.0 ** rng.uniform(-2, -0.7) / dt / np.abs(np.linalg.eigvals(A)).max()
+        plant = sampled(A, rng.normal(size=(size, m)), np.eye(size), dt)
+        weight = 10.0 ** rng.uniform(-2, 2) * np.eye(m)
+        P = solve_discrete_are(plant.A, plant.B, np.eye(size), weight)
+        K = np.linalg.solve(weight + plant.B.T @ P @ plant.B, plant.B.T @ P @ plant.A)
+        loop = StateSpace(plant.A, plant.B, K, np.zeros((m, m)))
+        found = loop_margins(loop, dt)
+        assert found.ok
+        for limit, margin, none in ((0.01, found.lower_gain_margin, 0.0), (100.0, found.upper_gain_margin, np.inf)):
+            factors = np.geomspace(1.0, limit, 1000)
+            closed = loop.A - factors[:, None, None] * (loop.B @ loop.C)
+            unstable = factors[np.abs(np.linalg.eigvals(closed)).max(axis=1) >= 1.0]
+            assert margin == (pytest.approx(unstable[0], rel=5e-3) if len(unstable) else none)
+            finite += len(unstable) > 0
+    assert finite >= 12
