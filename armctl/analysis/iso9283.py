@@ -31,7 +31,7 @@ from armctl.control.interface import Controller, controller_name
 from armctl.core.errors import PlanError
 from armctl.core.json_values import json_value
 from armctl.core.log import Log
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, computed_pose
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, integer, number
 from armctl.ik.solve import solve_ik
@@ -374,7 +374,7 @@ def _poses(arm: Arm) -> tuple[float, Array, Array]:
 def _target(arm: Arm, point: Array) -> Pose | Array:
     """A point with the orientation of home, for arms that can have both."""
     home = arm.fk(arm.home)
-    return Pose.from_rotation(point, home.rotation) if arm.n >= 6 else point
+    return computed_pose(point, home.rotation) if arm.n >= 6 else point
 
 
 def _runs(simulation: Simulation, q: Array, motions: list[JointTrajectory]) -> list[Log]:

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import ArmctlWarning, InputError
-from armctl.core.validation import Array, array, as_array, frozen, instance, matrix, shown, vector
+from armctl.core.validation import Array, array, as_array, frozen, instance, shown, vector
+
+# Rounding to three digits: E is at most 0.5e-3 in each element, so R R^T of R + E differs from I by at most 2 sqrt(3) max|E| +
+# 3 max|E|^2. What differs by more was made otherwise: scaled, sheared, or of other numbers.
+ROUNDED_DIGITS = 3
+_MAX_ELEMENT_ROUNDING = 0.5 * 10.0**-ROUNDED_DIGITS
+MAX_NOT_ORTHONORMAL = 2.0 * math.sqrt(3.0) * _MAX_ELEMENT_ROUNDING + 3.0 * _MAX_ELEMENT_ROUNDING**2
+_EXACT = 1e-12  # what products of rotations differ by from a rotation; it is left as it is
+_MAX_LAST_ROW_ERROR = 1e-9  # of a homogeneous transform's last row from 0 0 0 1
 
 
 class Pose:
@@ -57,7 +65,7 @@ class Pose:
             wxyz = _quat_from_rpy(angles)
         else:
             wxyz = vector("quat", (1.0, 0.0, 0.0, 0.0) if quat is None else quat, 4)
-        norm = float(np.linalg.norm(wxyz))
+        norm = math.hypot(*wxyz)  # without the overflow of squares
         if norm < 1e-9:
             raise InputError("quat: its norm is zero, so it is no orientation; [1, 0, 0, 0] is the identity")
         wxyz = _canonical(wxyz / norm)
@@ -78,52 +86,39 @@ class Pose:
     __delattr__ = __setattr__  # type: ignore[assignment]
 
     def __reduce__(self):
-        return Pose.from_rotation, (np.array(self.position), np.array(self.rotation))
+        return computed_pose, (np.array(self.position), np.array(self.rotation))
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Pose:
         """A pose from a homogeneous transform.
 
         Args:
-            matrix: (4, 4), its rotation orthonormal within 1e-6.
+            matrix: (4, 4). A rotation that is rounded, to three digits or more, becomes the nearest one.
 
         Raises:
-            InputError: Another shape, or no rigid transform.
+            InputError: Another shape, a number that is not finite, or no rigid transform.
         """
         T = array("matrix", matrix, 2)
         if T.shape != (4, 4):
             raise InputError(f"matrix: expected shape (4, 4), got {T.shape}")
-        R = T[:3, :3]
-        error = float(np.abs(R @ R.T - np.eye(3)).max())
-        if error > 1e-6 or np.linalg.det(R) < 0 or not np.allclose(T[3], (0, 0, 0, 1), atol=1e-9):
-            raise InputError(f"matrix: no rigid transform (its rotation is {error:.2g} from orthonormal, right-handed)")
-        if error > 1e-12:
-            U, _, Vt = np.linalg.svd(R)
-            R = U @ Vt
-        return cls.from_rotation(T[:3, 3], R)
+        rows = read_transforms("matrix", T[None])[0]
+        return computed_pose(rows[9:], rows[:9].reshape(3, 3))
 
     @classmethod
     def from_rotation(cls, position: ArrayLike, rotation: ArrayLike) -> Pose:
-        """A pose from parts that are known to be right; for computed values, without checks.
+        """A pose from a position and a rotation matrix.
 
         Args:
             position: (3,) m.
-            rotation: (3, 3), orthonormal.
+            rotation: (3, 3). One that is rounded, to three digits or more, becomes the nearest rotation.
 
         Raises:
-            InputError: They have another shape, or are not numeric.
+            InputError: Another shape, a number that is not finite, or a matrix that is no rotation.
         """
-        pose = cls.__new__(cls)
-        try:
-            R = np.asarray(rotation, dtype=np.float64)
-            wxyz = np.empty(4)
-            _mujoco().mju_mat2Quat(wxyz, R.ravel())
-            pose._fill(position, _canonical(wxyz), R)
-        except Exception:  # this path is fast for valid values; the checks find out what is wrong
-            matrix("rotation", rotation, 3)
-            vector("position", position, 3)
-            raise InputError(f"rotation: expected a (3, 3) rotation, got {shown(rotation)}") from None
-        return pose
+        R = array("rotation", rotation, 2)
+        if R.shape != (3, 3):
+            raise InputError(f"rotation: expected shape (3, 3), got {R.shape}")
+        return computed_pose(vector("position", position, 3), read_rotations("rotation", R[None])[0])
 
     @property
     def matrix(self) -> Array:
@@ -145,11 +140,11 @@ class Pose:
     def __matmul__(self, other: Pose) -> Pose:
         if not isinstance(other, Pose):
             return NotImplemented
-        return Pose.from_rotation(self.rotation @ other.position + self.position, self.rotation @ other.rotation)
+        return computed_pose(self.rotation @ other.position + self.position, self.rotation @ other.rotation)
 
     def inverse(self) -> Pose:
         """T_b_a of this T_a_b."""
-        return Pose.from_rotation(-self.rotation.T @ self.position, self.rotation.T)
+        return computed_pose(-self.rotation.T @ self.position, self.rotation.T)
 
     def transform(self, point: ArrayLike) -> Array:
         """A point given in b, in a.
@@ -184,6 +179,61 @@ class Pose:
 
     def __repr__(self) -> str:
         return f"Pose({_rounded(self.position)}, quat={_rounded(self.quat)})"
+
+
+def computed_pose(position: Array, rotation: Array) -> Pose:
+    """A pose from a computed position (3,) and rotation (3, 3), which are known to be right: no checks, and the same bits."""
+    pose = Pose.__new__(Pose)
+    wxyz = np.empty(4)
+    _mujoco().mju_mat2Quat(wxyz, rotation.ravel())
+    pose._fill(position, _canonical(wxyz), rotation)
+    return pose
+
+
+def read_rotations(what: str, R: Array) -> Array:
+    """A caller's matrices (N, 3, 3) as rotations: rounded ones become the nearest rotation, others are an InputError."""
+    errors = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    determinants = np.linalg.det(R)
+    wrong = ~((errors <= MAX_NOT_ORTHONORMAL) & (determinants > 0.0))
+    if wrong.any():
+        i = int(wrong.argmax())
+        which = what if len(R) == 1 else f"{what}: element {i}"
+        raise InputError(f"{which}: no rotation: {_why_no_rotation(R[i], float(determinants[i]))}")
+    inexact = errors > _EXACT
+    if not inexact.any():
+        return R
+    rotations = np.array(R)
+    rotations[inexact] = nearest_rotations(R[inexact])
+    return rotations
+
+
+def _why_no_rotation(R: Array, determinant: float) -> str:
+    lengths = np.linalg.norm(R, axis=1)
+    if np.abs(lengths - 1.0).max() > MAX_NOT_ORTHONORMAL:
+        return f"its rows have the lengths {shown(lengths.round(4).tolist())}, expected 1; remove a scale before"
+    cosines = np.abs(R @ R.T - np.eye(3)).max()
+    if cosines > MAX_NOT_ORTHONORMAL:
+        return f"its rows are not perpendicular: the cosine between two is {cosines:.2g}, at most {MAX_NOT_ORTHONORMAL:.2g}"
+    return f"it mirrors: its determinant is {determinant:.2g}, expected 1; z must be the cross product of x and y"
+
+
+def nearest_rotations(M: Array) -> Array:
+    """The rotations nearest to matrices (..., 3, 3): Umeyama (1991)."""
+    U, _, Vt = np.linalg.svd(M)
+    U[..., 2] *= np.linalg.det(U @ Vt)[..., None]
+    return U @ Vt
+
+
+def read_transforms(what: str, T: Array) -> Array:
+    """A caller's homogeneous transforms (N, 4, 4) as rows (N, 12): rotation row by row, position. InputError as above."""
+    wrong = np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1) > _MAX_LAST_ROW_ERROR
+    if wrong.any():
+        i = int(wrong.argmax())
+        which = what if len(T) == 1 else f"{what}: element {i}"
+        transposed = np.abs(T[i, :, 3] - [0.0, 0.0, 0.0, 1.0]).max() <= _MAX_LAST_ROW_ERROR
+        hint = "it is transposed" if transposed else "the position is the last column"
+        raise InputError(f"{which}: no rigid transform: its last row is {shown(T[i, 3].tolist())}, expected 0, 0, 0, 1; {hint}")
+    return np.concatenate([read_rotations(what, T[:, :3, :3]).reshape(-1, 9), T[:, :3, 3]], axis=1)
 
 
 def _rounded(values: Array) -> list[float]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose, rotation_angle
-from armctl.core.validation import Array, frozen, instance, number, vector
+from armctl.core.validation import Array, frozen, instance, number, shown, vector
 
 TOLERANCE = 1e-3  # m
 ANGLE_TOLERANCE = 1e-2  # rad
@@ -32,6 +32,16 @@ class Target:
     tolerance: float = TOLERANCE
     angle_tolerance: float = ANGLE_TOLERANCE
 
+    def __post_init__(self) -> None:
+        if not (isinstance(self.position, np.ndarray) and self.position.shape == (3,) and np.isfinite(self.position).all()):
+            object.__setattr__(self, "position", vector("position", self.position, 3))
+        if self.pose is not None:
+            instance("pose", self.pose, Pose, "armctl.Pose(position) makes one")
+            if not np.array_equal(self.pose.position, self.position):
+                raise InputError(f"position: {shown(self.position)} is not that of the pose, {shown(self.pose.position)}")
+        for name in ("tolerance", "angle_tolerance"):
+            object.__setattr__(self, name, number(name, getattr(self, name), 0.0))
+
     @classmethod
     def read(cls, target: TargetLike, tolerance: float | None = None, angle_tolerance: float | None = None) -> Target:
         """A checked target. A Target that was already read is not checked again; it keeps tolerances that are not given.
@@ -47,12 +57,13 @@ class Target:
         if isinstance(target, Pose):
             target = cls(target.position, target)
         elif not isinstance(target, Target):
-            target = cls(vector("target", target), None)
-            if len(target.position) != 3:
-                raise InputError(f"target: expected 3 numbers, got {len(target.position)}; Pose(point, rpy=angles) adds angles")
+            position = vector("target", target)
+            if len(position) != 3:
+                raise InputError(f"target: expected 3 numbers, got {len(position)}; Pose(point, rpy=angles) adds angles")
+            target = cls(position, None)
         given = {"tolerance": tolerance, "angle_tolerance": angle_tolerance}
-        checked = {name: number(name, value, 0.0) for name, value in given.items() if value is not None}
-        return replace(target, **checked) if checked else target
+        changed = {name: value for name, value in given.items() if value is not None}
+        return replace(target, **changed) if changed else target
 
     @property
     def numbers(self) -> Array:

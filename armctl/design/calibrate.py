@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, computed_pose, nearest_rotations
 from armctl.core.validation import Array, choice, frozen, matrix
 from armctl.design.arm_estimate import counted
 from armctl.design.identified_model import IdentifiedArm, place_bodies
@@ -334,10 +334,10 @@ def _outer_frames(chain: KinematicChain, q: Array, measured: Measurement) -> tup
         turned = -tip.rotation if chain.on_hand else eye
         columns = np.concatenate([np.einsum("kij,kl->kijl", turned, p).reshape(-1, 3, 9), eye, -tip.rotation], axis=2)
         found = np.linalg.lstsq(columns.reshape(-1, 15), tip.position.ravel())[0]
-        R = _nearest_rotation(found[:9].reshape(3, 3))
+        R = nearest_rotations(found[:9].reshape(3, 3))
         if chain.on_hand:
-            return Pose(-found[9:12]), Pose.from_rotation(found[12:], R)
-        return Pose.from_rotation(-R.T @ found[9:12], R.T), Pose(found[12:])
+            return Pose(-found[9:12]), computed_pose(found[12:], R)
+        return computed_pose(-R.T @ found[9:12], R.T), Pose(found[12:])
     rotation = measured.rotation
     if chain.on_hand:
         rotation = rotation.transpose(0, 2, 1)
@@ -346,14 +346,8 @@ def _outer_frames(chain: KinematicChain, q: Array, measured: Measurement) -> tup
     U, _, Vt = np.linalg.svd(np.einsum("kab,kcd->acbd", tip.rotation, rotation).reshape(9, 9))
     first = U[:, 0].reshape(3, 3, order="F")
     sign = np.sign(np.linalg.det(first))
-    R = _nearest_rotation(sign * first)
+    R = nearest_rotations(sign * first)
     columns = np.concatenate([R @ tip.rotation, eye], axis=2).reshape(-1, 6)
     found = np.linalg.lstsq(columns, (p - tip.position @ R.T).ravel())[0]
-    last = _nearest_rotation(sign * Vt[0].reshape(3, 3, order="F")).T
-    return Pose.from_rotation(found[3:], R), Pose.from_rotation(found[:3], last)
-
-
-def _nearest_rotation(M: Any) -> Array:
-    """The rotation nearest to a matrix (3, 3): Umeyama (1991)."""
-    U, _, Vt = np.linalg.svd(M)
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    last = nearest_rotations(sign * Vt[0].reshape(3, 3, order="F")).T
+    return computed_pose(found[3:], R), computed_pose(found[:3], last)

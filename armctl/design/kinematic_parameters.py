@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError, ModelError
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, computed_pose
 from armctl.core.validation import Array, shown
 from armctl.robot.arm import Arm, with_model
 
@@ -146,7 +146,7 @@ class KinematicChain:
     def frame_pose(self, number: int, parameters: Sequence[Parameter], x: Array) -> Pose:
         frame = self.frames[number]
         shift, turn = _errors(number, parameters, x)
-        return Pose.from_rotation(frame.position + shift, frame.rotation @ _exp(turn))
+        return computed_pose(frame.position + shift, frame.rotation @ _exp(turn))
 
     def corrected(self, parameters: Sequence[Parameter], x: Array) -> Arm:
         """The arm with errors of base, joints and tool in its model, so that its geometry is that of the real arm."""

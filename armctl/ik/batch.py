@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from armctl._core import Constraint
 from armctl.core.errors import InputError
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, read_transforms
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, IntArray, array, as_array, frozen, integer, matrix
 from armctl.ik import lm
@@ -23,8 +23,6 @@ from armctl.robot.arm import Arm
 
 MAX_CHUNK = 1024  # targets
 MIN_CHUNK = 128
-MAX_SKEW = 1e-6  # of a matrix that is accepted as a rotation
-MAX_LAST_ROW_ERROR = 1e-9  # of a homogeneous transform's last row from 0 0 0 1
 
 
 def solve_ik_batch(
@@ -43,7 +41,7 @@ def solve_ik_batch(
     If stderr is a terminal, a progress bar appears after two seconds.
 
     Args:
-        targets: N Poses, (N, 4, 4) homogeneous transforms, or (N, 3) m for positions only.
+        targets: N Poses, (N, 4, 4) homogeneous transforms as for `Pose.from_matrix`, or (N, 3) m for positions only.
         q0: (n,) or (N, n) rad (m for a slide joint), where the search starts. By default the arm's home.
         threads: How many threads to use; by default one per core.
         position_tolerance: m.
@@ -130,10 +128,4 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
 def _read_transforms(T: Array) -> Array:
     if T.shape[1:] != (4, 4):
         raise InputError(f"targets: expected shape (N, 4, 4) or (N, 3), got {T.shape}")
-    R = T[:, :3, :3]
-    skew = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    last_row_error = np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
-    is_rigid = (skew <= MAX_SKEW) & (last_row_error <= MAX_LAST_ROW_ERROR) & (np.linalg.det(R) >= 0)
-    if not is_rigid.all():
-        raise InputError(f"targets: element {is_rigid.argmin()} is not a rigid transform")
-    return np.concatenate([R.reshape(-1, 9), T[:, :3, 3]], axis=1)
+    return read_transforms("targets", T)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, computed_pose
 from armctl.core.result import Verdict
 from armctl.core.validation import Array
 from armctl.links.link import Seen
@@ -71,7 +71,7 @@ def base_pose(arm: Arm) -> Pose:
     """T_world_base: the body that carries the first joint."""
     data = placed(arm.model, arm.home_qpos)
     base = arm.model.body_parentid[arm.model.dof_bodyid[arm.dof_adr[0]]]
-    return Pose.from_rotation(data.xpos[base], data.xmat[base].reshape(3, 3))
+    return computed_pose(data.xpos[base], data.xmat[base].reshape(3, 3))
 
 
 def tip_difference(arm: Arm, q: Array, T_base_tip: Array) -> float:

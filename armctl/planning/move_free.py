@@ -26,7 +26,7 @@ from armctl.collision.clearance import PiecewiseTrajectory, clearance_of
 from armctl.collision.interface import KeptAxis, MovingJoints
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.limits import Limits
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, computed_pose
 from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, integer, number, shown
@@ -346,7 +346,7 @@ def configurations_for(
         return [goal], ""
     free_axis = None
     if keep is not None and isinstance(goal, Target) and goal.pose is None:
-        goal = Pose.from_rotation(goal.position, arm.fk(start).rotation)
+        goal = computed_pose(goal.position, arm.fk(start).rotation)
         free_axis = keep.name
     found: list[Array] = []
     free = 0

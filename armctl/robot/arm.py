@@ -18,7 +18,7 @@ from armctl import _core
 from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.other_names import with_hints
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, computed_pose
 from armctl.core.tables import Table
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.mjmodel.edit import add_point_mass
@@ -183,7 +183,7 @@ class Arm:
 
     def fk(self, q: ArrayLike) -> Pose:
         """Forward kinematics: T_world_tip."""
-        return Pose.from_rotation(*self.pinocchio_model.tip(vector("q", q, self.n)))
+        return computed_pose(*self.pinocchio_model.tip(vector("q", q, self.n)))
 
     def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:
         """Forward kinematics of many positions at once.

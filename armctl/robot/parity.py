@@ -5,7 +5,7 @@ import numpy as np
 import pinocchio as pin
 
 from armctl.core.errors import ModelError
-from armctl.core.pose import Pose
+from armctl.core.pose import computed_pose
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
@@ -42,7 +42,7 @@ def _differences(arm: Arm, scratch: pin.Data, q: Array, v: Array) -> dict[str, f
     mujoco.mj_fwdVelocity(model, data)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
-    T_world_body = Pose.from_rotation(data.xpos[arm.tip_body], data.xmat[arm.tip_body].reshape(3, 3))
+    T_world_body = computed_pose(data.xpos[arm.tip_body], data.xmat[arm.tip_body].reshape(3, 3))
     T_world_tip = T_world_body @ arm.T_body_tip
 
     pin_model = arm.pinocchio_model.pin_model

@@ -15,7 +15,7 @@ from armctl import _core
 from armctl.control.interface import CompiledController, Controller, State, controller_name, has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, computed_pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, read_only, shown, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
@@ -172,7 +172,7 @@ class Stepper:
         """The pose of an arm's tip in the simulation now, T_world_tip."""
         mujoco.mj_kinematics(self.model, self.data)
         body = arm.tip_body
-        return Pose.from_rotation(self.data.xpos[body], self.data.xmat[body].reshape(3, 3)) @ arm.T_body_tip
+        return computed_pose(self.data.xpos[body], self.data.xmat[body].reshape(3, 3)) @ arm.T_body_tip
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Sets time to 0 and the joints to q, rad, and v, rad/s; home and rest by default. Everything else is at home."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError, LimitError
-from armctl.core.pose import Pose, rotation_from_vector
+from armctl.core.pose import Pose, computed_pose, rotation_from_vector
 from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array, flag, instance, integer, matrix, number, shown, vector
@@ -268,7 +268,7 @@ class Stream:
         rows = []
         for k in range(1, _TWIST_STEPS + 1):
             turn = rotation_from_vector(w * k * _TWIST_STEP_S)
-            goal = Pose.from_rotation(pose.position + v * k * _TWIST_STEP_S, turn @ pose.rotation)
+            goal = computed_pose(pose.position + v * k * _TWIST_STEP_S, turn @ pose.rotation)
             q = self._limits.clamp(q + _TWIST_STEP_S * self._ik.step(q, goal, _TWIST_STEP_S))
             rows.append(q)
         self._targets.rest_at(q)
@@ -292,9 +292,7 @@ class Stream:
     def _reanchored(self, pose: Pose) -> Pose:
         assert self._device is not None
         device, tip = self._device
-        return Pose.from_rotation(
-            tip.position + pose.position - device.position, pose.rotation @ device.rotation.T @ tip.rotation
-        )
+        return computed_pose(tip.position + pose.position - device.position, pose.rotation @ device.rotation.T @ tip.rotation)
 
     @cached_property
     def _ik(self) -> DifferentialIk:

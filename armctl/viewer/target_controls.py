@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, computed_pose
 from armctl.core.validation import Array
 from armctl.sim.realtime.session import RealTimeSession
 from armctl.sim.realtime.status import Status
@@ -116,7 +116,7 @@ class TargetControls:
         self._held_by = None if event.phase == "end" else event.client_id
         turned = Pose(event.target.position, quat=event.target.wxyz)
         if self._has_world_axes:
-            turned = Pose.from_rotation(turned.position, turned.rotation @ self._grip.rotation)
+            turned = computed_pose(turned.position, turned.rotation @ self._grip.rotation)
         self._session.aim(turned, held=self.is_held)
 
     def _aim(self, target: Pose) -> None:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import polar
+from scipy.spatial.transform import Rotation
 
 from armctl import InputError, Pose
 from armctl.core.pose import rotation_from_vector, rotation_vector
@@ -108,8 +110,8 @@ def test_equal_poses_are_equal_and_hash_alike():
         (lambda: Pose([1, 2, 3], quat=[1, 0, 0]), "quat: expected 4 numbers, got 3"),
         (lambda: Pose([1, 2, 3], quat=[1, 0, 0, 0], rpy=[0, 0, 0]), "both quat and rpy given"),
         (lambda: Pose.from_matrix(np.eye(3)), r"matrix: expected shape \(4, 4\), got \(3, 3\)"),
-        (lambda: Pose.from_matrix(2 * np.eye(4)), "matrix: no rigid transform"),
-        (lambda: Pose.from_matrix(np.diag([1.0, 1, -1, 1])), "matrix: no rigid transform"),
+        (lambda: Pose.from_matrix(2 * np.eye(4)), "matrix: no rigid transform: its last row is"),
+        (lambda: Pose.from_matrix(np.diag([1.0, 1, -1, 1])), "matrix: no rotation: it mirrors: its determinant is -1"),
     ],
 )
 def test_a_wrong_pose_is_one_sentence(call, sentence: str):
@@ -124,3 +126,86 @@ def test_pointing_straight_up_or_down_the_roll_is_zero_and_the_orientation_the_s
         assert pose.rpy[0] == 0.0
         assert pose.rpy[1] == pytest.approx(pitch)
         assert_same(Pose([0.0, 0.0, 0.0], rpy=pose.rpy), pose)
+
+
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    return Rotation.random(rng=rng).as_matrix()
+
+
+def homogeneous(R: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = [0.4, 0.1, 0.5]
+    return T
+
+
+ENTRANCES = [lambda R: Pose.from_rotation([0.4, 0.1, 0.5], R), lambda R: Pose.from_matrix(homogeneous(R))]
+
+
+@pytest.mark.parametrize("entrance", ENTRANCES)
+@pytest.mark.parametrize("digits", [3, 4, 5, 6, 8, 12])
+def test_a_rounded_rotation_becomes_the_nearest_one(entrance, digits: int):
+    rng = np.random.default_rng(digits)
+    for _ in range(200):
+        exact = random_rotation(rng)
+        rounded = np.round(exact, digits)
+        T = entrance(rounded)
+        nearest = polar(rounded)[0]  # the orthogonal factor is the nearest orthogonal matrix: Higham (1986)
+        assert np.abs(T.rotation - nearest).max() <= 1e-12
+        assert np.abs(T.rotation @ T.rotation.T - np.eye(3)).max() <= 2e-12
+        assert np.linalg.norm(T.quat) == pytest.approx(1.0, abs=1e-12)
+        assert Pose([0, 0, 0], T.quat).distance(Pose.from_rotation([0, 0, 0], exact))[1] <= 2.0 * 10.0**-digits
+
+
+@pytest.mark.parametrize("entrance", ENTRANCES)
+def test_a_matrix_that_is_no_rotation_is_refused_with_the_reason(entrance):
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        R = random_rotation(rng)
+        shear = np.eye(3)
+        shear[0, 1] = 0.1
+        wrong = {
+            "it mirrors": [R @ np.diag([1.0, 1.0, -1.0]), -R, R[:, [1, 0, 2]], R[[0, 2, 1]]],
+            "rows have the lengths": [1000.0 * R, 1.01 * R, 1.002 * R, 0.5 * R, np.zeros((3, 3)), R @ np.diag([1.0, 1.0, 1.1])],
+            "no rotation: its rows": [R @ shear, rng.normal(size=(3, 3)), np.round(R, 1) + 0.2, np.ones((3, 3)), np.degrees(R)],
+            "expected a finite number": [np.full((3, 3), np.nan), R * [1.0, np.inf, 1.0], R + np.diag([np.nan, 0.0, 0.0])],
+        }
+        for sentence, matrices in wrong.items():
+            for matrix in matrices:
+                with pytest.raises(InputError, match=sentence) as caught:
+                    entrance(matrix)
+                assert len(str(caught.value)) <= 400
+
+
+@pytest.mark.parametrize(
+    "rotation", [None, "eye", [1.0, 0.0, 0.0, 0.0], np.ones(9), np.eye(2), np.eye(4), np.eye(3, dtype=bool), 1j * np.eye(3)]
+)
+def test_a_rotation_of_another_kind_is_refused(rotation):
+    with pytest.raises(InputError, match=r"^rotation: "):
+        Pose.from_rotation([0, 0, 0], rotation)
+
+
+@pytest.mark.parametrize("position", [[np.nan, 0, 0], [0, 0], [0, np.inf, 0], "abc"])
+def test_a_wrong_position_beside_a_rotation_is_refused(position):
+    with pytest.raises(InputError, match=r"^position: "):
+        Pose.from_rotation(position, np.eye(3))
+
+
+def test_a_transposed_transform_is_recognised():
+    with pytest.raises(InputError, match=r"no rigid transform: its last row .* it is transposed"):
+        Pose.from_matrix(homogeneous(np.eye(3)).T)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 0.999, 3.0, 1e200])
+def test_a_quaternion_of_any_length_is_normalised(scale: float):
+    wxyz = np.array([0.738, 0.145, -0.036, -0.658])
+    R = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
+    assert np.abs(Pose([0, 0, 0], quat=scale * wxyz).rotation - R).max() <= 1e-15
+
+
+def test_a_rotation_that_was_computed_keeps_every_bit():
+    T = Pose([0.1, 0.2, 0.3], rpy=[0.4, 0.5, 0.6])
+    for _ in range(200):
+        T = T @ Pose([0.0, 0.0, 0.0], rpy=[0.3, -0.2, 0.1])
+    assert np.array_equal(Pose.from_rotation(T.position, T.rotation).rotation, T.rotation)
+    assert pickle.loads(pickle.dumps(T)) == T

@@ -46,3 +46,19 @@ def test_a_wrong_tolerance_is_rejected(name: str, value):
 def test_a_wrong_target_is_rejected(target):
     with pytest.raises(InputError, match=r"^target: "):
         Target.read(target)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (([np.nan, 0.0, 0.0], None), r"position: element \[0\] is nan"),
+        ((np.zeros(4), None), "position: expected 3 numbers, got 4"),
+        ((np.zeros(3), np.eye(4)), "pose: expected Pose"),
+        ((np.zeros(3), Pose([1.0, 0.0, 0.0])), "position: .* is not that of the pose"),
+        ((np.zeros(3), None, np.nan), "tolerance: expected a finite number"),
+        ((np.zeros(3), None, 1e-3, -1.0), "angle_tolerance: expected a number at least 0"),
+    ],
+)
+def test_a_target_that_is_made_directly_is_checked_too(arguments, sentence: str):
+    with pytest.raises(InputError, match=sentence):
+        Target(*arguments)

@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
-from armctl.core.pose import Pose, rotation_from_vector
+from armctl.core.pose import Pose, computed_pose, rotation_from_vector
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
 from armctl.envs.tasks.interface import ArmSource
@@ -59,7 +59,7 @@ class Table(NamedTuple):
         away = end[:2] - self.base
         x, y = away / max(float(np.linalg.norm(away)), 1e-9)
         rotation = rotation_from_vector(self.tilt * np.array([y, -x, 0.0])) @ self.tool.rotation_down
-        return Pose.from_rotation(end - rotation @ self.tool.end, rotation)
+        return computed_pose(end - rotation @ self.tool.end, rotation)
 
     def reach_over(self, height: float) -> float:
         """m, how far the tilted tool is ahead of its end at a height above it."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.collision.checker import CollisionChecker
 from armctl.core.latest_worker import LatestWorker
-from armctl.core.pose import Pose, rotation_from_vector, rotation_vector
+from armctl.core.pose import Pose, computed_pose, rotation_from_vector, rotation_vector
 from armctl.core.target import Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, frozen
@@ -133,7 +133,7 @@ class TargetFollower:
         linear, angular = velocity
         ahead = self.target.position + interval * linear - tip.position
         ahead *= min(1.0, _LEAD_M / max(float(np.linalg.norm(ahead)), 1e-9))
-        turned = Pose.from_rotation(tip.position + ahead, rotation_from_vector(interval * angular) @ self.target.rotation)
+        turned = computed_pose(tip.position + ahead, rotation_from_vector(interval * angular) @ self.target.rotation)
         is_near = Target.read(turned).distance(tip)[1] < _LEAD_RAD
         self.target = turned if is_near or not self.oriented else Pose(turned.position, quat=self.target.quat)
         self._finished = False
@@ -223,7 +223,7 @@ class TargetFollower:
         start = self._glide_start
         turn = rotation_vector(self.target.rotation @ start.rotation.T)
         position = start.position + share * (self.target.position - start.position)
-        return Pose.from_rotation(position, rotation_from_vector(share * turn) @ start.rotation)
+        return computed_pose(position, rotation_from_vector(share * turn) @ start.rotation)
 
     def _begin_swing(self) -> None:
         self._swing_start = self.joint_goal
