@@ -65,7 +65,10 @@ class Pose:
             wxyz = _quat_from_rpy(angles)
         else:
             wxyz = vector("quat", (1.0, 0.0, 0.0, 0.0) if quat is None else quat, 4)
-        norm = math.hypot(*wxyz)  # without the overflow of squares
+        norm = float(np.linalg.norm(wxyz))
+        if not math.isfinite(norm):  # its squares overflow
+            wxyz = wxyz / np.abs(wxyz).max()
+            norm = float(np.linalg.norm(wxyz))
         if norm < 1e-9:
             raise InputError("quat: its norm is zero, so it is no orientation; [1, 0, 0, 0] is the identity")
         wxyz = _canonical(wxyz / norm)

@@ -419,15 +419,48 @@ def test_a_name_is_not_an_arm():
             call("panda", [[0.3, 0.2, 0.3]] if call is solve_ik_batch else [0.3, 0.2, 0.3])
 
 
+def test_a_batch_of_rounded_transforms_is_solved_as_each_of_them_alone():
+    arm = arm_of("universal_robots_ur5e")
+    q = np.random.default_rng(3).uniform(-1.5, 1.5, (6, arm.n))
+    T = np.round([arm.fk(row).matrix for row in q], 4)
+    found = solve_ik_batch(arm, T)
+    for k, matrix in enumerate(T):
+        alone = solve_ik(arm, Pose.from_matrix(matrix))
+        assert alone.ok
+        assert np.array_equal(found.q[k], alone.q)
+
+
 @pytest.mark.parametrize(
     ("targets", "more", "sentence"),
     [
         (Pose([0.0, 0.0, 0.0]), {}, "targets: expected a list of Poses, got one Pose; solve_ik takes one"),
-        (np.zeros((2, 4, 4)), {}, "targets: element 0: no rigid transform: its last row"),
-        (np.stack([np.eye(4), np.diag([0.0, 0, 0, 1])]), {}, "targets: element 1: no rotation: its rows have the lengths"),
-        (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), {}, "targets: element 1: no rotation: it mirrors"),
-        (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=1) * 1e-2]), {}, "targets: element 1: no rotation: its rows are not"),
-        (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=-3)]), {}, "targets: element 1: no rigid transform: its last row"),
+        (
+            np.zeros((2, 4, 4)),
+            {},
+            "targets: element 0: no rigid transform: its last row is [0.0, 0.0, 0.0, 0.0], expected 0, 0, 0, 1; "
+            "the position is the last column",
+        ),
+        (
+            np.stack([np.eye(4), np.diag([0.0, 0, 0, 1])]),
+            {},
+            "targets: element 1: no rotation: its rows have the lengths [0.0, 0.0, 0.0], expected 1; remove a scale before",
+        ),
+        (
+            np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]),
+            {},
+            "targets: element 1: no rotation: it mirrors: its determinant is -1, expected 1; "
+            "z must be the cross product of x and y",
+        ),
+        (
+            np.stack([np.eye(4), np.eye(4) + np.diag([1e-2, 0.0, 0.0], 1)]),
+            {},
+            "targets: element 1: no rotation: its rows are not perpendicular: the cosine between two is 0.01, at most 0.0017",
+        ),
+        (
+            np.stack([np.eye(4), np.eye(4) + np.eye(4, k=-3)]),
+            {},
+            "targets: element 1: no rigid transform: its last row is [1.0, 0.0, 0.0, 1.0], expected 0, 0, 0, 1; it is transposed",
+        ),
         (np.zeros((2, 3)), {"threads": 0}, "threads: expected a number at least 1, got 0"),
         (np.zeros((2, 3)), {"q0": np.zeros((3, 3))}, "q0: 3 rows given for 2 targets"),
         (np.zeros((2, 5)), {}, "targets: expected rows of 3 numbers, got 5"),
