@@ -19,6 +19,7 @@ ROUNDED_DIGITS = 3
 _MAX_ELEMENT_ROUNDING = 0.5 * 10.0**-ROUNDED_DIGITS
 MAX_NOT_ORTHONORMAL = 2.0 * math.sqrt(3.0) * _MAX_ELEMENT_ROUNDING + 3.0 * _MAX_ELEMENT_ROUNDING**2
 _EXACT = 1e-12  # what products of rotations differ by from a rotation; it is left as it is
+_MAX_SQUARED = 1e100  # the squares of larger numbers overflow
 _MAX_LAST_ROW_ERROR = 1e-9  # of a homogeneous transform's last row from 0 0 0 1
 
 
@@ -65,10 +66,10 @@ class Pose:
             wxyz = _quat_from_rpy(angles)
         else:
             wxyz = vector("quat", (1.0, 0.0, 0.0, 0.0) if quat is None else quat, 4)
+        largest = float(np.abs(wxyz).max())
+        if largest > _MAX_SQUARED:
+            wxyz = wxyz / largest
         norm = float(np.linalg.norm(wxyz))
-        if not math.isfinite(norm):  # its squares overflow
-            wxyz = wxyz / np.abs(wxyz).max()
-            norm = float(np.linalg.norm(wxyz))
         if norm < 1e-9:
             raise InputError("quat: its norm is zero, so it is no orientation; [1, 0, 0, 0] is the identity")
         wxyz = _canonical(wxyz / norm)

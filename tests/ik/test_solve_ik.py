@@ -459,7 +459,8 @@ def test_a_batch_of_rounded_transforms_is_solved_as_each_of_them_alone():
         (
             np.stack([np.eye(4), np.eye(4) + np.eye(4, k=-3)]),
             {},
-            "targets: element 1: no rigid transform: its last row is [1.0, 0.0, 0.0, 1.0], expected 0, 0, 0, 1; it is transposed",
+            "targets: element 1: no rigid transform: its last row is [1.0, 0.0, 0.0, 1.0], expected 0, 0, 0, 1; "
+            "it is transposed",
         ),
         (np.zeros((2, 3)), {"threads": 0}, "threads: expected a number at least 1, got 0"),
         (np.zeros((2, 3)), {"q0": np.zeros((3, 3))}, "q0: 3 rows given for 2 targets"),
