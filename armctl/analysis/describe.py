@@ -3,6 +3,8 @@
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from armctl.analysis.static_payload import doubt_about_torque_limits, static_payload, static_payloads
 from armctl.control.margin_exceptions import margin_exceptions
 from armctl.control.observer_gains import max_unknown_payload
@@ -51,6 +53,9 @@ def describe(arm: Arm) -> str:
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     lines += [f"note: {note}" for note in arm.notes]
+    for i in np.flatnonzero(arm.motor_torque_limits < limits.tau_max).tolist():
+        own = f"{arm.motor_torque_limits[i]:.4g} {arm.actuation.torque_units[i]}"
+        lines.append(f"note: the motor of {arm.joint_names[i]} gives {own} in simulations, less than its tau_max")
     payload = data["static_payload_kg"]
     if payload is None:
         lines.append("static payload at the tip: any, because a weight there loads no joint")

@@ -13,9 +13,8 @@ struct Motor {
     size_t qpos = 0;
     size_t dof = 0;  // in qvel and qfrc_applied
     size_t ctrl = 0;
-    size_t torque = 0;          // in qfrc_actuator
-    double gear = 1.0;          // torque per unit of ctrl
-    double torque_share = 1.0;  // torque per unit of qfrc_actuator
+    size_t force = 0;   // in actuator_force
+    double gear = 1.0;  // torque per unit of ctrl, and of force
 };
 
 // An address of an array's element; a negative one is beyond each array.
@@ -23,20 +22,19 @@ inline size_t address(std::int64_t number) { return static_cast<size_t>(number);
 
 using Motors = std::vector<Motor>;
 
-// The motors of an arm, (n,) each: `qpos_addresses`, `dof_addresses`, `ctrl_addresses` and `gear`; `torque_addresses` and
-// `torque_share` where qfrc_actuator has more than the torques of the joints.
+// The motors of an arm, (n,) each: `qpos_addresses`, `dof_addresses`, `ctrl_addresses` and `gear`; and
+// `motor_addresses` where their torques are read.
 inline Motors motors_of(const Arguments& given) {
     Motors motors(given.length("gear"));
     const size_t n = motors.size();
-    const bool has_torques = given.has("torque_addresses");
+    const bool has_forces = given.has("motor_addresses");
     for (size_t i = 0; i < n; ++i) {
         motors[i] = {
             .qpos = address(given.integers(n, "qpos_addresses")[i]),
             .dof = address(given.integers(n, "dof_addresses")[i]),
             .ctrl = address(given.integers(n, "ctrl_addresses")[i]),
-            .torque = address(given.integers(n, has_torques ? "torque_addresses" : "dof_addresses")[i]),
+            .force = has_forces ? address(given.integers(n, "motor_addresses")[i]) : 0,
             .gear = given.vector(n, "gear")[i],
-            .torque_share = has_torques ? given.vector(n, "torque_share")[i] : 1.0,
         };
     }
     return motors;
@@ -46,7 +44,7 @@ inline Motors motors_of(const Arguments& given) {
 inline void check_addresses(const Motors& motors, const MujocoSimulation& simulation) {
     for (const Motor& motor : motors) {
         if (motor.qpos >= simulation.qpos.size() || motor.dof >= simulation.qvel.size() || motor.ctrl >= simulation.ctrl.size() ||
-            motor.torque >= simulation.qfrc_actuator.size()) {
+            motor.force >= simulation.actuator_force.size()) {
             throw InputError("motors: the model has no such joint or motor");
         }
     }
@@ -68,7 +66,7 @@ inline void command_motors(const Motors& motors, Vector tau, const MujocoSimulat
 
 // The joint torques (n,) N m of the motors in the last step.
 inline void read_torques(const Motors& motors, const MujocoSimulation& simulation, Result tau) {
-    for (size_t i = 0; i < motors.size(); ++i) { tau[i] = simulation.qfrc_actuator[motors[i].torque] * motors[i].torque_share; }
+    for (size_t i = 0; i < motors.size(); ++i) { tau[i] = simulation.actuator_force[motors[i].force] * motors[i].gear; }
 }
 
 // Adds the noise (ticks, 2, n) of a tick to measured positions and velocities (n,), if there is noise.

@@ -76,7 +76,7 @@ struct MujocoSimulation {
     Result qpos;
     Result qvel;
     Result ctrl;
-    Vector qfrc_actuator;
+    Vector actuator_force;
     Result qfrc_applied;
     Vector actuator_length;
     // (bodies, ...)

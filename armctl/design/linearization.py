@@ -18,7 +18,7 @@ from armctl.design.state_space import StateSpace, linear_controller
 from armctl.mjmodel.dc_motor import current_state, remove_bristles
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.disturbances import encoder_steps
-from armctl.sim.drivetrain import drivetrain_of, motors_of
+from armctl.sim.drivetrain import drivetrain_of
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
 
@@ -141,7 +141,7 @@ class Linearizer:
         self._train = drivetrain_of([arm], plant)
         self.is_elastic = bool(self._train.extra_joints)
         self._spring_dofs = model.jnt_dofadr[self._train.extra_joints]
-        motors = motors_of(model, arm.actuation)
+        motors = arm.actuation.motor_adr.tolist()
         currents = [current_state(model, motor) for motor in motors]
         states = [address for address in currents if address >= 0]
         further = [1 + model.jnt_qposadr[self._train.extra_joints], 1 + model.nq + self._spring_dofs]

@@ -183,9 +183,8 @@ class PlantLink(Link):
     def _seen(self) -> Seen:
         stepper = self._simulation()
         state = stepper.measured_state
-        tau = stepper.data.qfrc_actuator[self._arm.actuation.torque_adr] * self._arm.actuation.torque_share
         fault = self._fault or stepper.failure
-        return Seen(state.t, np.array(state.q), np.array(state.v), tau, self._told, fault)
+        return Seen(state.t, np.array(state.q), np.array(state.v), stepper.motor_torque, self._told, fault)
 
     def _hold(self, q: Array) -> None:
         """Forgets all rows, and stands at q."""

@@ -32,9 +32,8 @@ class Actuation:
         qpos_adr: (n,) addresses of the joints in `MjData.qpos`.
         dof_adr: (n,) addresses of the joints in `MjData.qvel`.
         ctrl_adr: (n,) addresses of their motors in `MjData.ctrl`.
-        gear: (n,) joint torque per unit of control.
-        torque_adr: (n,) addresses in `MjData.qfrc_actuator` of the joints on which the motors act directly.
-        torque_share: (n,) joint torque per unit of `qfrc_actuator` there; not 1 where a motor moves coupled joints.
+        motor_adr: (n,) addresses of their motors in `MjData.actuator_force`.
+        gear: (n,) joint torque per unit of control, and of the motor's force.
     """
 
     joint_names: tuple[str, ...]
@@ -44,9 +43,8 @@ class Actuation:
     qpos_adr: IntArray
     dof_adr: IntArray
     ctrl_adr: IntArray
+    motor_adr: IntArray
     gear: Array
-    torque_adr: IntArray
-    torque_share: Array
 
     @property
     def n(self) -> int:
@@ -57,6 +55,17 @@ class Actuation:
     def torque_units(self) -> tuple[str, ...]:
         """ "N m" for each joint that turns, "N" for each that slides."""
         return units.of_torque(self.units)
+
+    def motor_torques(self, data: mujoco.MjData) -> Array:
+        """The torques of the motors in the last step: what else acts on a joint, such as friction, is not among them.
+
+        Args:
+            data: The state of a model with these motors.
+
+        Returns:
+            (n,) N m at the joints.
+        """
+        return data.actuator_force[self.motor_adr] * self.gear
 
     @classmethod
     def from_model(
@@ -77,9 +86,6 @@ class Actuation:
             instance("transmissions", each, Transmission, "a list of them is needed")
         joints = [transmission.joint for transmission in transmissions]
         actuators = [transmission.actuator for transmission in transmissions]
-        # A motor on a tendon acts on several joints: its torque is read where its moment arm is largest.
-        read_at = [max(each.moments, key=lambda joint: abs(each.moments[joint])) for each in transmissions]
-        shares = [each.gear / each.moments[joint] for each, joint in zip(transmissions, read_at, strict=True)]
         slides = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_SLIDE)
         return cls(
             joint_names=tuple(joint_name(model, joint) for joint in joints),
@@ -89,9 +95,8 @@ class Actuation:
             qpos_adr=frozen(model.jnt_qposadr[joints].astype(np.int64)),
             dof_adr=frozen(model.jnt_dofadr[joints].astype(np.int64)),
             ctrl_adr=frozen(model.actuator_ctrladr[actuators].astype(np.int64)),
+            motor_adr=frozen(np.array(actuators, dtype=np.int64)),
             gear=frozen(np.array([transmission.gear for transmission in transmissions])),
-            torque_adr=frozen(model.jnt_dofadr[read_at].astype(np.int64)),
-            torque_share=frozen(np.array(shares)),
         )
 
     @classmethod
@@ -109,7 +114,7 @@ class Actuation:
         for part in parts:
             instance("parts", part, Actuation, "arm.actuation is one")
         maps = [part.joint_map for part in parts]
-        arrays = ("qpos_adr", "dof_adr", "ctrl_adr", "gear", "torque_adr", "torque_share")
+        arrays = ("qpos_adr", "dof_adr", "ctrl_adr", "motor_adr", "gear")
         return cls(
             joint_names=tuple(name for part in parts for name in part.joint_names),
             joint_map=JointMap.concatenated(maps),

@@ -29,6 +29,7 @@ from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
+_ROUNDING = 1e-9  # relative, of a torque limit that was divided by a gear and multiplied by it
 
 
 class Recipe(Protocol):
@@ -128,6 +129,12 @@ class Arm:
     def ctrl_adr(self) -> IntArray:
         """(n,) addresses of the joints' motors in `MjData.ctrl`."""
         return self.actuation.ctrl_adr
+
+    @property
+    def motor_torque_limits(self) -> Array:
+        """(n,) N m, the largest torques in a simulation: `limits.tau_max`, or less where the model's motor is weaker."""
+        own = np.abs(self.gear) * self.model.actuator_forcerange[self.actuation.motor_adr, 1]
+        return np.where(self.limits.tau_max > own * (1 + _ROUNDING), own, self.limits.tau_max)
 
     @property
     def gear(self) -> Array:
@@ -296,6 +303,9 @@ class Arm:
 
     def with_limits(self, limits: Limits) -> Arm:
         """The same arm with other limits, such as lower speeds near people.
+
+        The motors of its simulations obey a lower `tau_max`. Where `tau_max` is above what the model's motor gives, motions are
+        planned with it, and the motor's own limit holds in simulation: `motor_torque_limits` has the smaller of both.
 
         Args:
             limits: The new limits of its n joints.

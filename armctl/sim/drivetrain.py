@@ -8,7 +8,7 @@ friction that of a `dcmotor` without an input.
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 from weakref import WeakKeyDictionary
 
@@ -58,7 +58,7 @@ class DrivetrainAttributes(Protocol):
 class Drivetrain:
     """Where the motors and the links of some arms are in a plant's model."""
 
-    actuation: Actuation  # their joints; torques are read where the motors act
+    actuation: Actuation  # their joints
     rotors: tuple[int, ...]  # the joints of the rotors that the plant adds
     springs: tuple[int, ...]  # the spring joints of elastic joints of the file
     owners: IntArray  # which of the n joints each rotor, or else each spring, belongs to
@@ -113,7 +113,7 @@ class Drivetrain:
             moving[self.motor_dof[self.owners]] = moving[self.actuation.dof_adr[self.owners]]
         data.qvel[:] = moving
         self.set_commands(model, data, holding[None])
-        for motor, force in zip(motors_of(model, self.actuation), holding / self.actuation.gear, strict=True):
+        for motor, force in zip(self.actuation.motor_adr.tolist(), holding / self.actuation.gear, strict=True):
             address = current_state(model, motor)
             if address >= 0:
                 data.act[address] = current_for(model, motor, force)
@@ -121,7 +121,7 @@ class Drivetrain:
 
     def set_commands(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array, substeps: int = 1) -> None:
         """Gives delayed actuators the commands of the ticks before, (ticks, n) N m, the last one first; the oldest lasts."""
-        for i, motor in enumerate(motors_of(model, self.actuation)):
+        for i, motor in enumerate(self.actuation.motor_adr.tolist()):
             if not model.actuator_delay[motor] > 0.0:
                 continue
             ages = np.arange(int(model.actuator_history[motor, 0]), 0, -1)
@@ -181,14 +181,11 @@ def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrai
         joint: moved[int(model.jnt_qposadr[motor])] for joint, motor in before.items() if int(model.jnt_qposadr[motor]) in moved
     }
     owners = {joint: moved[int(address)] for joint, address in enumerate(model.jnt_qposadr) if int(address) in moved} | springs
-    motors = {motor: i for i, motor in enumerate(motors_of(model, actuation))}
+    motors = {motor: i for i, motor in enumerate(actuation.motor_adr.tolist())}
     motor_qpos = actuation.qpos_adr.copy()
     motor_dof = actuation.dof_adr.copy()
     motor_qpos[has_rotor] = model.nq + rotors
     motor_dof[has_rotor] = model.nv + rotors
-    if has_rotor.any():
-        torque_adr = np.where(has_rotor, motor_dof, actuation.torque_adr)
-        actuation = replace(actuation, torque_adr=torque_adr)
     return Drivetrain(
         actuation=actuation,
         rotors=tuple((model.njnt + rotors).tolist()),
@@ -232,7 +229,6 @@ def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: S
 
 def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train: Drivetrain) -> None:
     """Gives a model what follows from its inertias, in place: damping of the springs, friction, windings."""
-    motors = motors_of(model, train.actuation)
     if train.rotors:
         dofs = train.actuation.dof_adr[train.owners]
         tendons = model.ntendon - len(dofs) + np.arange(len(dofs))
@@ -259,7 +255,7 @@ def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train:
             set_friction(model, actuator, stiffness, damping, coulomb, plant.stiction * coulomb, _STRIBECK_SPEED)
             model.dof_frictionloss[dof] = 0.0
     if plant.motor > 0.0:
-        for motor in motors:
+        for motor in train.actuation.motor_adr.tolist():
             set_time_constant(model.actuator(motor), plant.motor)
 
 
@@ -273,11 +269,6 @@ def per_joint(name: str, value: object, arms: Sequence[Arm]) -> Array:
     return np.broadcast_to(values, n).copy()
 
 
-def motors_of(model: mujoco.MjModel, actuation: Actuation) -> list[int]:
-    owner = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)
-    return owner[actuation.ctrl_adr].tolist()
-
-
 def _add_elements(spec: mujoco.MjSpec, arms: Sequence[Arm], structure: Structure) -> None:
     """Adds rotors, bristles and windings to a specification, in place; every number before stays what it was."""
     has_rotor, has_bristles, has_windings = structure
@@ -285,7 +276,7 @@ def _add_elements(spec: mujoco.MjSpec, arms: Sequence[Arm], structure: Structure
     flags = iter(has_rotor)
     targets = []
     for arm in arms:
-        for index, actuator in zip(arm.joint_map.leaders.tolist(), motors_of(arm.model, arm.actuation), strict=True):
+        for index, actuator in zip(arm.joint_map.leaders.tolist(), arm.actuation.motor_adr.tolist(), strict=True):
             target = joint_name(arm.model, arm.joint_map.joints[index])
             joint = spec.joint(target)
             motor = motors[actuator]

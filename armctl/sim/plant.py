@@ -252,7 +252,7 @@ class Plant:
         """The MuJoCo model of this plant.
 
         Args:
-            arm: The model of the controllers.
+            arm: The model of the controllers. The motors obey its limits.
 
         Returns:
             A new model. All joints of the robot outside the chain, such as a gripper's, are braked. Rotors, springs and
@@ -335,7 +335,18 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         model.opt.timestep /= math.ceil(model.opt.timestep / step - 1e-9)
     finish_drivetrain(model, plant, train)
+    for arm in arms:
+        _limit_motors(model, arm)
     _check_history(model)
+
+
+def _limit_motors(model: mujoco.MjModel, arm: Arm) -> None:
+    """Gives the motors of an arm in a model the limits of the arm, in place, where these are lower than those of its file."""
+    own = arm.model
+    motors = arm.actuation.motor_adr
+    bound = np.minimum(arm.limits.tau_max / np.abs(arm.gear), own.actuator_forcerange[motors, 1])
+    model.actuator_forcerange[motors] = np.column_stack([-bound, bound])
+    model.actuator_ctrlrange[arm.ctrl_adr] = model.actuator_forcerange[motors]
 
 
 def _check_history(model: mujoco.MjModel) -> None:

@@ -115,7 +115,7 @@ class Recorder:
         return Log(
             robot=arm.name,
             joint_names=arm.joint_names,
-            tau_max=np.array(arm.limits.tau_max),
+            tau_max=np.array(arm.motor_torque_limits),
             controller=run.controller,
             plant=run.plant,
             dt=dt,

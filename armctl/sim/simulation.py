@@ -160,7 +160,7 @@ class Simulation(Commands):
         """
         arm = self.arm
         checked = vector("ctrl", ctrl, arm.n)
-        bound = arm.limits.tau_max / np.abs(arm.gear)
+        bound = arm.motor_torque_limits / np.abs(arm.gear)
         outside = np.abs(checked) > bound * (1 + _CONTROL_TOLERANCE)
         if outside.any():
             i = int(outside.argmax())

@@ -127,12 +127,12 @@ class Stepper:
         self._joints = self.actuation.qpos_adr if train.springs else _index(self.actuation.qpos_adr)
         self._dofs = self.actuation.dof_adr if train.springs else _index(self.actuation.dof_adr)
         self._motors = _index(self.actuation.ctrl_adr)
-        self._drives = _index(self.actuation.torque_adr)
+        forces = _index(self.actuation.motor_adr)
         # A slice of MuJoCo's arrays is a view that stays valid; other addresses have to be gathered at every tick.
-        is_whole = bool((self.actuation.torque_share == 1.0).all())
+        has_no_gears = bool((self.actuation.gear == 1.0).all())
         self._qvel = self.data.qvel[self._dofs] if isinstance(self._dofs, slice) else None
-        self._motor_torque = self.data.qfrc_actuator[self._drives] if isinstance(self._drives, slice) and is_whole else None
-        self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
+        self._motor_torque = self.data.actuator_force[forces] if isinstance(forces, slice) and has_no_gears else None
+        self._is_direct = isinstance(self._motors, slice) and has_no_gears
 
     @property
     def n(self) -> int:
@@ -166,7 +166,7 @@ class Stepper:
     @property
     def motor_torque(self) -> Array:
         """(n,) N m, the torque of the motors in the last tick."""
-        return self.data.qfrc_actuator[self._drives] * self.actuation.torque_share
+        return self.actuation.motor_torques(self.data)
 
     def tip_pose(self, arm: Arm) -> Pose:
         """The pose of an arm's tip in the simulation now, T_world_tip."""

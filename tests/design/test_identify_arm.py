@@ -431,3 +431,14 @@ def test_torques_act_at_the_speeds_before_and_after_mujocos_step(tmp_path):
     assert np.abs(log.v).max() > 0.5
     assert speeds.start[2:-2] == pytest.approx(log.v[2:-2], abs=1e-8)
     assert speeds.end[2:-3] == pytest.approx(log.v[3:-2], abs=1e-8)
+
+
+@pytest.mark.parametrize("share", [0.004, 0.01])
+def test_friction_of_bristles_is_identified_like_dry_friction(arms, motions, share):
+    arm = arms["six joints"]
+    coulomb = share * arm.limits.tau_max
+    plant = armctl.Plant(coulomb_friction=coulomb, friction="lugre", timestep=TICK)
+    log = armctl.simulate(arm, "computed-torque-observer", motions["six joints"], plant, dwell=0.0)
+    found = armctl.identify(arm, log)
+    assert found.ok, found.reason
+    assert found.coulomb_friction == pytest.approx(coulomb, rel=0.05)

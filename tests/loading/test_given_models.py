@@ -62,7 +62,7 @@ def assert_same_arm(arm: armctl.Arm, other: armctl.Arm) -> None:
     assert arm.sources == other.sources
     for name in ("q_min", "q_max", "v_max", "a_max", "j_max", "tau_max"):
         assert getattr(arm.limits, name) == pytest.approx(getattr(other.limits, name), rel=1e-12), name
-    for name in ("gear", "torque_share", "ctrl_adr", "dof_adr"):
+    for name in ("gear", "motor_adr", "ctrl_adr", "dof_adr"):
         assert np.array_equal(getattr(arm.actuation, name), getattr(other.actuation, name)), name
     assert np.array_equal(arm.home_qpos, other.home_qpos)
     assert arm.fk(arm.home).position == pytest.approx(other.fk(other.home).position, abs=1e-12)

@@ -34,7 +34,7 @@ def test_concatenated_joints_stand_in_the_order_of_the_arms(load_arms):
     assert both.joint_names == ("a", "b", "c", "d", "e")
     assert both.units == ("rad",) * 5
     assert both.torque_units == ("N m",) * 5
-    for name in ("qpos_adr", "dof_adr", "ctrl_adr", "gear", "torque_adr", "torque_share"):
+    for name in ("qpos_adr", "dof_adr", "ctrl_adr", "motor_adr", "gear"):
         column = getattr(both, name)
         assert np.array_equal(column, np.concatenate([getattr(arm.actuation, name) for arm in arms])), name
         assert not column.flags.writeable, name

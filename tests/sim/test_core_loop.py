@@ -34,11 +34,10 @@ def tick_loop(stepper: Stepper, api: _core.MujocoApi | None = None, **changes: o
         "qpos_addresses": stepper.actuation.qpos_adr,
         "dof_addresses": stepper.actuation.dof_adr,
         "ctrl_addresses": stepper.actuation.ctrl_adr,
-        "torque_addresses": stepper.actuation.torque_adr,
+        "motor_addresses": stepper.actuation.motor_adr,
     }
     options = {name: np.asarray(each, np.int64) for name, each in addresses.items()} | {
         "gear": np.ones(stepper.n),
-        "torque_share": np.ones(stepper.n),
         "pushed_arm": stepper._pushed_arm,
         "substeps": 1,
         "dt": 0.002,

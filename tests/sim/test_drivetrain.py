@@ -269,3 +269,32 @@ def test_tune_says_that_a_law_takes_elastic_joints_as_rigid(arm):
     found = armctl.tune(arm, "computed-torque", delay_margin=0.5, poses=1, plants=[armctl.Plant(**SPRING)])
     assert not found
     assert "on elastic joints, which it takes as rigid (ElasticFeedforward knows the springs)" in found.reason
+
+
+@pytest.mark.parametrize("motor", [0.0, 0.002])
+def test_the_torque_of_a_motor_is_what_it_was_commanded_whatever_friction_holds_the_joint(load, motor):
+    """Bristles hold what the motor gives beyond gravity, and the motor's torque is the command all the same."""
+    arm = load(limb("a b"), motors("a b"))
+    friction = armctl.Plant(friction="lugre", coulomb_friction=4.0, motor=motor)
+
+    class Half:
+        def torque(self, state, setpoint):
+            return arm.gravity(arm.home) + 2.0
+
+    log = armctl.simulate(arm, Half(), armctl.move_j(arm, arm.home, arm.home + 0.01), friction, dwell=0.2)
+    assert np.abs(log.v[-1]).max() < 1e-6  # after the bristles have bent
+    assert log.tau[-1] == pytest.approx(log.tau_cmd[-1], abs=1e-6)
+
+
+def test_a_simulated_robot_reports_the_torque_of_its_motors_with_bristles_too(load):
+    arm = load(limb("a b"), motors("a b"))
+    end = arm.home + np.array([1.2, -1.0])
+    against_motion = []
+    for plant in (armctl.Plant(friction="lugre", coulomb_friction=1.0), armctl.Plant()):
+        with armctl.Robot(arm, armctl.links.PlantLink(arm, plant), speed=1.0, tip_speed=2.0, allow_contact=True) as robot:
+            robot.move_j(end)
+            log = robot.log
+        moving = np.abs(log.v).min(axis=1) > 0.1
+        assert moving.sum() > 50
+        against_motion.append((log.tau * np.sign(log.v))[moving].mean(axis=0))
+    assert against_motion[0] - against_motion[1] == pytest.approx([1.0, 1.0], rel=0.1)

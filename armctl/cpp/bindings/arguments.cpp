@@ -86,7 +86,7 @@ MujocoSimulation mujoco_simulation(nb::handle model, nb::handle data) {
         .qpos = numbers(data, "qpos"),
         .qvel = numbers(data, "qvel"),
         .ctrl = numbers(data, "ctrl"),
-        .qfrc_actuator = numbers<const double>(data, "qfrc_actuator"),
+        .actuator_force = numbers<const double>(data, "actuator_force"),
         .qfrc_applied = numbers(data, "qfrc_applied"),
         .actuator_length = numbers<const double>(data, "actuator_length"),
         .xfrc_applied = rows(data, "xfrc_applied", 6),

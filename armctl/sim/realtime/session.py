@@ -344,9 +344,7 @@ class RealTimeSession:
         goal = Target(follower.target.position, follower.target if follower.oriented else None)
         position_error, _ = goal.distance(tip)
         reference_error = float(np.linalg.norm(tip.position - self.arm.fk(q_ref).position))
-        actuation = self.arm.actuation
-        torques = stepper.data.qfrc_actuator[actuation.torque_adr] * actuation.torque_share
-        self.history.add(position_error, reference_error, torques / self.arm.limits.tau_max)
+        self.history.add(position_error, reference_error, stepper.motor_torque / self.arm.motor_torque_limits)
         return Status(
             activity=self._activity(
                 position_error,
