@@ -47,6 +47,7 @@ from .core.errors import ArmctlWarning as ArmctlWarning
 from .core.errors import InputError as InputError
 from .core.errors import LimitError as LimitError
 from .core.errors import LinkError as LinkError
+from .core.errors import MissingShapeWarning as MissingShapeWarning
 from .core.errors import ModelError as ModelError
 from .core.errors import NotInstalledError as NotInstalledError
 from .core.errors import PlanError as PlanError

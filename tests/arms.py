@@ -93,5 +93,6 @@ def _tips(robot: str) -> list[str]:
 _SHORT = {name: alias for alias, name in ALIASES.items()}
 MENAGERIE_ARMS = [_SHORT.get(r.name, r.name) for r in menagerie.robots("arm") if at_hand(r.name)]
 PAIRS = [f"{r.name}:{chain}" for r in menagerie.robots("dual_arm") if at_hand(r.name) for chain in CHAINS]
+ARMS_WITH_SHAPES = [BUNDLED, *MENAGERIE_ARMS]
 ARMS = [BUNDLED, *MENAGERIE_ARMS, *PAIRS, *sorted(path.stem for path in MODELS.iterdir())]
 ROBOTS = [BUNDLED, *(_SHORT.get(r.name, r.name) for r in menagerie.robots() if at_hand(r.name))]

@@ -148,7 +148,7 @@ BENT = {
 }
 
 
-def serial_arm(folder: Path, shape: Shape, integrator: str = "implicitfast") -> armctl.Arm:
+def serial_arm(folder: Path, shape: Shape, integrator: str = "implicitfast", shapes: str | None = None) -> armctl.Arm:
     links = ""
     motors = ""
     below = 0.0
@@ -173,7 +173,7 @@ def serial_arm(folder: Path, shape: Shape, integrator: str = "implicitfast") -> 
     text = SERIAL_ARM.format(integrator=integrator, links=links, length=below, ends=ends, motors=motors, home=home)
     path = folder / "serial.xml"
     path.write_text(text)
-    return armctl.load(path)
+    return armctl.load(path, shapes=shapes)
 
 
 def arm_with_gripper(folder: Path) -> Path:

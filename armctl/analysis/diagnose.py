@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from armctl.analysis.static_payload import doubt_about_torque_limits, static_payload, static_payloads
-from armctl.core.errors import ArmctlWarning, ModelError
+from armctl.core.errors import ArmctlWarning, MissingShapeWarning, ModelError
 from armctl.core.validation import Array
 from armctl.loading.load import load
 from armctl.mjmodel.queries import body_name, joint_name
@@ -41,6 +41,8 @@ _ADVICE = {
     "the sensors of joints are late": "judge a controller by `armctl margins`, which includes it",
     "drag (": 'set density="0" viscosity="0" in <option>',
 }
+
+_SHAPE_ADVICE = "write <collision> (URDF), or geoms with contype and conaffinity (MJCF), into these links"
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ def diagnose(
     base: str | None = None,
     hold_base: bool = False,
     srdf: str | os.PathLike[str] | None = None,
+    shapes: str | None = None,
 ) -> Diagnosis:
     """Examines a robot's file: what is missing, impossible or assumed, and what to write.
 
@@ -110,6 +113,7 @@ def diagnose(
         base: As for `load`.
         hold_base: As for `load`.
         srdf: As for `load`.
+        shapes: As for `load`.
 
     Returns:
         The findings. A file that does not load is a finding, too.
@@ -121,12 +125,19 @@ def diagnose(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            arm = load(robot, tip=tip, base=base, hold_base=hold_base, srdf=srdf)
+            arm = load(robot, tip=tip, base=base, hold_base=hold_base, srdf=srdf, shapes=shapes)
         except ModelError as error:
             return Diagnosis(name, (Finding("error", str(error)),), float("nan"))
-    texts = [str(each.message) for each in caught if issubclass(each.category, ArmctlWarning)]
+    texts = [
+        str(each.message)
+        for each in caught
+        if issubclass(each.category, ArmctlWarning) and not issubclass(each.category, MissingShapeWarning)
+    ]
     capacity = static_payloads(arm)
     found = [Finding("warning", text, next((_ADVICE[each] for each in _ADVICE if each in text), "")) for text in texts]
+    found += [
+        Finding("error", str(each.message), _SHAPE_ADVICE) for each in caught if issubclass(each.category, MissingShapeWarning)
+    ]
     found += _torque_findings(arm, capacity)
     found += _contact_findings(arm)
     found += _mass_findings(arm)
@@ -201,5 +212,5 @@ def _assumptions(arm: Arm, is_tip_given: bool) -> Iterator[Finding]:
         text = f"{', '.join(assumed)}: defaults, at least for some joints"
         yield Finding("note", text, "a URDF's <limit velocity=...>, or arm.with_limits(...), sets them")
     for note in arm.notes:
-        if ".srdf: " in note or note.startswith("torque motors replace"):
+        if ".srdf: " in note or note.startswith("no collision shape for the fixed") or note.startswith("torque motors replace"):
             yield Finding("note", note)

@@ -43,6 +43,7 @@ _CHAIN_OPTIONS = {
     "--tool": "gripper, hand or MJCF file to mount at the tip",
     "--scene": "MJCF file of the tables and objects around the robot",
     "--srdf": "SRDF file: allowed contacts, home, and groups for --tip",
+    "--shapes": "capsules or visual: what stands for the collision shape of links that have none",
 }
 
 Commands = argparse._SubParsersAction  # argparse has no public name for it
@@ -115,7 +116,7 @@ def load_arm(args: argparse.Namespace) -> Arm:
     from armctl.loading.load import load
 
     ends = {"tip": args.tip, "base": args.base, "hold_base": args.hold_base}
-    return load(args.robot, **ends, tool=args.tool, scene=args.scene, srdf=args.srdf)
+    return load(args.robot, **ends, tool=args.tool, scene=args.scene, srdf=args.srdf, shapes=args.shapes)
 
 
 def numbers(what: str, words: Sequence[str]) -> list[float]:

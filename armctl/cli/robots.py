@@ -17,6 +17,7 @@ def add(commands: common.Commands) -> None:
     doctor.add_argument("--tip", help="site, body or geom at the end of the chain")
     doctor.add_argument("--base", help="body at the start of the chain")
     doctor.add_argument("--srdf", help="path of an SRDF")
+    doctor.add_argument("--shapes", help="capsules or visual: the collision shape of links that have none")
     doctor.add_argument("--hold-base", action="store_true", help="fix the base of a floating or walking robot at its keyframe")
     for parser in (robots, chains, info, doctor):
         common.add_json(parser)
@@ -64,7 +65,7 @@ def run_doctor(args: argparse.Namespace) -> int:
     from armctl.analysis.diagnose import diagnose
     from armctl.core.json_values import json_value
 
-    found = diagnose(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base, srdf=args.srdf)
+    found = diagnose(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base, srdf=args.srdf, shapes=args.shapes)
     common.print_result(args, str(found), json_value(asdict(found)), found.reason)
     return common.DONE if found else common.NOT_REACHED
 

@@ -92,7 +92,8 @@ def _load(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]
         if args.tip is not None or args.tool is not None or len(tips) < 2:
             raise
         with contextlib.suppress(ModelError):
-            return load_arms(args.robot, tips, base=args.base, hold_base=args.hold_base, scene=args.scene, srdf=args.srdf)
+            options = {"base": args.base, "hold_base": args.hold_base, "scene": args.scene, "srdf": args.srdf}
+            return load_arms(args.robot, tips, **options, shapes=args.shapes)
         raise
 
 

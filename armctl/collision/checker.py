@@ -9,9 +9,9 @@ import numpy as np
 from armctl._core import Approach, ClearanceProof, CollisionScene, Hit
 from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, is_convex
 from armctl.collision.interface import KeptAxis, MovingJoints, NearPairs
-from armctl.core.errors import InputError, ModelError, UnknownNameError
+from armctl.core.errors import InputError, ModelError, UnknownNameError, few_names
 from armctl.core.validation import Array, BoolArray
-from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of, object_id, stands_alone
+from armctl.mjmodel.queries import geom_owner_name, has_obstacles, is_below, last_joint_above, name_of, object_id, stands_alone
 
 SAMPLES = 64
 _UNIT_KNOTS = np.array([0.0, 1.0])
@@ -51,6 +51,7 @@ class CollisionChecker:
         self._limits = arm.limits
         self._home = arm.home
         self._qpos = arm.home_qpos if qpos is None else np.array(qpos)
+        self.not_checkable = why_not_checkable(arm)  # one sentence; empty if contacts can be checked
         geometry = build_geometry(self._model, self._joint_map, self._qpos, dict(held or {}))
         allowed = allowed_geoms(self._model, allow)
         keep = [tuple(sorted(pair)) not in allowed for pair in geometry.geom_ids[geometry.pairs].tolist()]
@@ -162,6 +163,21 @@ class CollisionChecker:
         return geom_owner_name(self._model, first), geom_owner_name(self._model, second)
 
     def require_provable(self) -> None:
+        """Raises ModelError if a proof does not cover a link or a geom: one without a shape, or one that is not convex."""
+        if self.not_checkable:
+            raise ModelError(self.not_checkable)
+        self.require_convex()
+
+    def require_provable_among_obstacles(self) -> None:
+        """As `require_provable`; but links without a shape are refused only if there is anything that they could touch.
+
+        For motions that are made for simulations as well. A `Robot` refuses them in any case.
+        """
+        if has_obstacles(self._model, self._joint_map.joints):
+            self.require_provable()
+        self.require_convex()
+
+    def require_convex(self) -> None:
         """Raises ModelError if the arm could touch a geom that is not convex, which proofs do not cover."""
         if self.not_convex:
             raise ModelError(
@@ -231,6 +247,18 @@ class CollisionChecker:
                 first, second = sorted(contact.geom.tolist())
                 return f"{geom_owner_name(self._model, second)} touches {geom_owner_name(self._model, first)}"
         return ""
+
+
+def why_not_checkable(arm: MovingJoints) -> str:
+    """Why no contact of an arm can be excluded, one sentence; empty if contacts can be checked."""
+    names = arm.unchecked_links
+    if not names:
+        return ""
+    verb = "has" if len(names) == 1 else "have"
+    return (
+        f"not checkable: {few_names(names)} {verb} no collision shape; "
+        'armctl.load(..., shapes="capsules") gives them capsules, avoid=False moves without a check'
+    )
 
 
 def allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> set[tuple[int, int]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.collision.checker import CollisionChecker, allowed_geoms
 from armctl.collision.interface import KeptAxis, MovingJoints
-from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, number, shown
 from armctl.robot.arm import Arm
 
@@ -59,3 +59,11 @@ def collision_checker(
         while len(kept) > _KEPT_CHECKERS:
             kept.popitem(last=False)
         return kept[key]
+
+
+def checkable(arm: MovingJoints) -> CollisionChecker:
+    """The checker of an arm at home; ModelError if a link has no collision shape, so that "no contact" would mean nothing."""
+    checker = collision_checker(arm)
+    if checker.not_checkable:
+        raise ModelError(checker.not_checkable)
+    return checker

@@ -19,6 +19,7 @@ from armctl.robot.arm import Arm, check_arm
 
 MAX_DEGREE = 5  # of the polynomials in the core
 _NO_PAIRS_M = np.inf
+_UNKNOWN = np.nan
 _UNDECIDED_M = 3e-4  # a distance that exceeds the clearance by more was not the reason why a proof stopped
 
 
@@ -48,9 +49,10 @@ class ClearanceCheck(Verdict):
     Attributes:
         ok: Whether the motion is proved to keep more than the clearance at all times.
         distance: m. If ok, a proved lower bound of the distance over the whole continuous motion, at most 0.2 mm below a
-            distance that is attained. Otherwise a distance that occurs, negative where geoms overlap.
-        time: s, when the arm is nearest (if not ok: when it is too near).
-        first: One body of the nearest pair; empty if nothing can touch, or if the kept axis tilts.
+            distance that is attained. Otherwise a distance that occurs, negative where geoms overlap; NaN if a link has no
+            collision shape, so that nothing is known.
+        time: s, when the arm is nearest (if not ok: when it is too near); NaN likewise.
+        first: One body of the nearest pair; empty if nothing can touch, if the kept axis tilts, or if a link has no shape.
         second: The other.
         clearance: The required clearance, m.
         reason: Why it is not ok, in one sentence; empty if it is.
@@ -84,7 +86,8 @@ def check_clearance(
     """Proves that a motion keeps more than a clearance, by bisection with bounds of each link's motion, never by samples.
 
     The geometry is MuJoCo's: convex hulls and primitives, everything outside the arm's chain at home. Pairs that touch by
-    design are left out, and so are neighboring links that are proved apart over the whole range of their joint. The proof is of
+    design are left out, and so are neighboring links that are proved apart over the whole range of their joint. An arm with
+    links that need a collision shape and have none (`arm.unchecked_links`) is not ok, whatever it does. The proof is of
     the planned motion: choose the clearance for tracking errors and bodies that move.
 
     Args:
@@ -114,14 +117,17 @@ def check_clearance(
             f"trajectory: it moves {', '.join(trajectory.joint_names)[:80]}, the arm has {', '.join(arm.joint_names)[:80]}"
         )
     kept = read_kept_axis(arm, keep, keep_within, trajectory(0.0).q)
-    return clearance_of(collision_checker(arm, allow=allow), trajectory, clearance, kept)
+    checker = collision_checker(arm, allow=allow)
+    if checker.not_checkable:
+        return ClearanceCheck(False, _UNKNOWN, _UNKNOWN, "", "", clearance, checker.not_checkable)
+    return clearance_of(checker, trajectory, clearance, kept)
 
 
 def clearance_of(
     checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptAxis | None = None
 ) -> ClearanceCheck:
-    """As `check_clearance`, with a checker that is at hand."""
-    checker.require_provable()
+    """As `check_clearance`, with a checker that is at hand, and of the shapes that there are."""
+    checker.require_convex()
     if trajectory.coefficients.shape[1] > MAX_DEGREE + 1:
         raise InputError(
             f"trajectory: expected polynomials of degree at most {MAX_DEGREE}, got {trajectory.coefficients.shape[1] - 1}"

@@ -15,7 +15,7 @@ import numpy as np
 
 from armctl._core import CollisionModel, ShapeKind
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
-from armctl.mjmodel.queries import is_below, placed
+from armctl.mjmodel.queries import DISABLES_CONTACTS, is_below, placed
 from armctl.robot.joint_map import JointMap
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -124,7 +124,7 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
     By their bits, parents and exclusions, and those that are listed.
     """
     disabled = int(model.opt.disableflags)
-    if disabled & (int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)):
+    if disabled & DISABLES_CONTACTS:
         return np.empty((0, 2), np.int64)
     first, second = np.triu_indices(model.ngeom, 1)
     contype = model.geom_contype

@@ -33,6 +33,9 @@ class MovingJoints(Protocol):
     @property
     def home_qpos(self) -> Array: ...  # (nq,)
 
+    @property
+    def unchecked_links(self) -> tuple[str, ...]: ...  # links without a collision shape that they need
+
 
 class KeptAxis(NamedTuple):
     """An axis of the tip that keeps its direction."""

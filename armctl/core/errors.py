@@ -8,13 +8,21 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 MAX_MESSAGE_CHARACTERS = 400
 _MAX_LISTED_CHARACTERS = 240  # of known names; of a longer list the message gives the number
 _MAX_SHOWN_CHARACTERS = 80  # of a value in a message
 _OTHER_NAMES = {"pid": "computed-torque-observer", "osc": "operational-space"}  # what armctl calls the same thing
+
+
+def few_names(names: Sequence[str], count: int = 4) -> str:
+    """Some names for a message: the first few, and how many more there are."""
+    first = [f"{name:.40}" for name in names[:count]]
+    if len(names) > count:
+        return f"{', '.join(first)} and {len(names) - count} more"
+    return " and ".join(filter(None, [", ".join(first[:-1]), *first[-1:]]))
 
 
 def shown(value: object) -> str:
@@ -125,6 +133,10 @@ class ArmctlWarning(UserWarning):
             message: One sentence.
         """
         super().__init__(_one_line(str(message)))
+
+
+class MissingShapeWarning(ArmctlWarning):
+    """Links of a robot carry mass and have no collision shape, so that no contact of the arm can be excluded."""
 
 
 def _one_line(message: str) -> str:

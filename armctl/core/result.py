@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from dataclasses import dataclass
 
+from armctl.core.errors import few_names
 from armctl.core.log import Contact, Log
 
 
@@ -29,6 +30,8 @@ class MoveResult(Verdict):
         duration: s of simulated time.
         reason: The reason if it is not ok; empty if it is.
         log: Every tick of it; None if nothing moved.
+        unchecked_links: The links of the arm without a collision shape that they need: no contact was excluded, and a
+            simulation sees none. Empty if all have one.
     """
 
     ok: bool
@@ -37,12 +40,15 @@ class MoveResult(Verdict):
     duration: float
     reason: str
     log: Log | None
+    unchecked_links: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         if not self.ok:
             return f"not reached: {self.reason}"
         reached = f"reached within {max(1e3 * self.position_error, 0.01):.2g} mm in {self.duration:.2f} s"
         touched = ", ".join(dict.fromkeys(contact.other for contact in self.contacts))
+        if self.unchecked_links:
+            reached += f"; contacts not checkable, no collision shape for {few_names(self.unchecked_links)}"
         return f"{reached}; touched {touched}" if touched else reached
 
     def _repr_html_(self) -> str:

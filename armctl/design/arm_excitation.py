@@ -76,7 +76,7 @@ def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int, start: Arr
     """The most informative of several safe motions, from `start` or home; else, with a warning, from near home."""
     score_of = _Scorer(arm)
     checker = collision_checker(arm)
-    checker.require_provable()
+    checker.require_provable_among_obstacles()
     if start is not None:
         return _from(start, arm, checker, score_of, seconds, speed, seed)
     home = arm.limits.clamp(arm.home)

@@ -123,7 +123,7 @@ def _candidates(
     arm: Arm, start: Array, clearance: float, visible: Callable[[Pose], bool] | None, rng: np.random.Generator, count: int
 ) -> Array:
     checker = collision_checker(arm)
-    checker.require_provable()
+    checker.require_provable_among_obstacles()
     near = checker.at(start, clearance)
     if near:
         raise PlanError(f"{arm.name:.80}: at the start, {near:.200} within {1e3 * clearance:g} mm; give another start")

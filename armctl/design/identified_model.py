@@ -127,7 +127,7 @@ def consistent_model(arm: Arm, model: mujoco.MjModel, inertia: Array) -> None:
 def edited_spec(arm: Arm, model: mujoco.MjModel, given: str | os.PathLike[str] | None) -> mujoco.MjSpec:
     """The specification that an arm was loaded from, with the inertia, rotor inertia and friction of a model."""
     source = locate(arm.name if given is None else given)
-    spec, _ = source.read()
+    spec = source.read().spec
     source.compile(spec)
     if source.path is not None:
         folder = source.path.parent.resolve()

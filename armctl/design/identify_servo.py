@@ -207,7 +207,7 @@ def _check(arm: Arm, what: str, log: Log) -> None:
 def _of_file(arm: Arm, source: str | os.PathLike[str] | None) -> ServoParameters:
     """The servos of the file that an arm was loaded from; gains of a default bandwidth where it has none."""
     found = locate(arm.name if source is None else source)
-    spec, _ = found.read()
+    spec = found.read().spec
     model = found.compile(spec)
     inertia = np.diag(arm.mass_matrix(arm.limits.clamp(arm.home)))
     armature = arm.model.dof_armature[arm.dof_adr]

@@ -66,7 +66,7 @@ def multisine_excitation(
     direction = (-1.0) ** np.arange(len(joints))  # of the drift: some responses would change more if all were the same
     course = sample(hermite(*_drift(sets, direction * drift)), times)
     checker = collision_checker(arm)
-    checker.require_provable()
+    checker.require_provable_among_obstacles()
     reason = ""
     for factor in _FACTORS:
         samples = [np.zeros((len(times), arm.n)) for _ in unit]

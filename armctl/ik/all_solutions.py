@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl._core import Constraint
-from armctl.collision.checkers import collision_checker
+from armctl.collision.checkers import checkable
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
 from armctl.core.validation import flag, frozen, integer
@@ -98,7 +98,7 @@ def solve_ik_all(
         found = _inexact_solutions(problem, limit)
     is_complete = found.is_complete and len(found.q) <= limit
     if avoid_collisions:
-        contact_at = collision_checker(arm).at
+        contact_at = checkable(arm).at
         found = found.select(np.array([k for k, q in enumerate(found.q) if not contact_at(q)], np.int64))
     count = len(found.q)
     if count == 0:

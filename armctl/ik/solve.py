@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl._core import Constraint
-from armctl.collision.checkers import collision_checker
+from armctl.collision.checkers import checkable
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
 from armctl.core.validation import Array, flag, frozen
@@ -73,6 +73,7 @@ def solve_ik(
     Raises:
         InputError: An argument has a wrong shape, type or value.
         LimitError: q0 is outside the joint limits.
+        ModelError: Collisions are to be avoided, and a link of the arm has no collision shape.
     """
     # The checks of the usual types are inline: each as a function of its own would take 1 % of the call.
     chain = ik_chain(arm)
@@ -91,7 +92,7 @@ def solve_ik(
     if nearest is not False or avoid_collisions is not False:
         starts = read_start(arm, chain, q0)[None]
         problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
-        contact_at = collision_checker(arm).at if flag("avoid_collisions", avoid_collisions) else None
+        contact_at = checkable(arm).at if flag("avoid_collisions", avoid_collisions) else None
         candidates = _candidates(problem, stay_near=q0 is not None)
         if flag("nearest", nearest):
             candidates = itertools.chain(_nearest_candidates(problem), candidates)

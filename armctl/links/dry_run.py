@@ -29,7 +29,8 @@ class Rehearsal:
         acceleration: rad/s^2, likewise.
         jerk: rad/s^3, likewise.
         tip_speed: m/s, the greatest.
-        clearance: m, the smallest distance at 200 positions on the way; infinite if nothing can touch.
+        clearance: m, the smallest distance at 200 positions on the way; infinite if nothing can touch, NaN if links have no
+            collision shape.
         refusal: Why nothing would be sent; empty if something would.
     """
 
@@ -45,7 +46,10 @@ class Rehearsal:
     def __str__(self) -> str:
         if self.refusal:
             return self.refusal
-        near = "nothing can touch" if np.isinf(self.clearance) else f"clearance {1e3 * self.clearance:.1f} mm"
+        if np.isnan(self.clearance):
+            near = "contacts are not checkable"
+        else:
+            near = "nothing can touch" if np.isinf(self.clearance) else f"clearance {1e3 * self.clearance:.1f} mm"
         return (
             f"{self.rows} rows, {self.duration:.2f} s, joints {self.speed:.3g} rad/s, {self.acceleration:.3g} rad/s^2, "
             f"{self.jerk:.3g} rad/s^3, tip {self.tip_speed:.3g} m/s, {near}"
@@ -58,7 +62,9 @@ def rehearsal_of(log: Log, checker: CollisionChecker | None) -> Rehearsal:
     j = np.diff(a, axis=0) / log.dt
     tips = np.linalg.norm(np.diff(log.tip_ref, axis=0), axis=1) / log.dt
     clearance = np.inf
-    if checker is not None and len(log):
+    if checker is not None and checker.not_checkable:
+        clearance = np.nan
+    elif checker is not None and len(log):
         some = np.unique(np.linspace(0, len(log) - 1, _CLEARANCE_SAMPLES).astype(int))
         clearance = min((d for pair, d in map(checker.nearest, log.q_ref[some]) if pair >= 0), default=np.inf)
     return Rehearsal(

@@ -13,9 +13,9 @@ from typing import IO, Any
 
 import numpy as np
 
-from armctl.collision.checker import CollisionChecker
+from armctl.collision.checker import CollisionChecker, why_not_checkable
 from armctl.core import hooks
-from armctl.core.errors import InputError, LinkError
+from armctl.core.errors import InputError, LinkError, ModelError
 from armctl.core.log import Log
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
@@ -82,12 +82,12 @@ class Robot(Commands):
             speed: Share of the full speed, acceleration and jerk, in (0, 1].
             tip_speed: m/s, the greatest speed of the tip.
             payload: kg at the tip; the robot must be set to the same.
-            allow_contact: Whether motions may be asked for with `avoid=False`.
+            allow_contact: Whether motions may be asked for with `avoid=False`, and the arm may have links without a shape.
 
         Raises:
             InputError: An argument of another type, or a number out of its bounds.
             UnknownNameError: There is no such robot.
-            ModelError: The robot's model is no arm.
+            ModelError: The robot's model is no arm, or a link of it has no collision shape and `allow_contact` is False.
             LinkError: The connection failed, another program has it, or the robot is not the model's.
         """
         model = robot if isinstance(robot, Arm) else load(robot)
@@ -95,6 +95,8 @@ class Robot(Commands):
         tip_speed = number("tip_speed", tip_speed, 1e-3)
         payload = number("payload", payload, 0.0)
         self._allows_contact = flag("allow_contact", allow_contact)
+        if model.unchecked_links and not self._allows_contact:
+            raise ModelError(f"{why_not_checkable(model)}, which a Robot does with allow_contact=True")
         envelope = link.envelope or envelope_of(model.limits, f"limits of the model {model.name}")
         if len(envelope.limits.q_min) != model.n:
             raise LinkError(f"the robot has {len(envelope.limits.q_min)} joints, the model {model.name:.60} has {model.n}")

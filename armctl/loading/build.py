@@ -20,7 +20,12 @@ _TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that ar
 
 
 def make_arms(
-    name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes: Sequence[str], recipe: Recipe | None
+    name: str,
+    model: mujoco.MjModel,
+    plans: Sequence[ArmPlan],
+    notes: Sequence[str],
+    recipe: Recipe | None,
+    unchecked_links: tuple[str, ...] = (),
 ) -> tuple[Arm, ...]:
     """The arms of a prepared model, which is completed in place: the target's start, no controls in the keyframes."""
     qpos = home_qpos(model, tuple(joint for plan in plans for joint in plan.joints))
@@ -29,7 +34,7 @@ def make_arms(
     set_target_start(model, arms[0].fk(near_home).position)
     model.key_ctrl[:, np.concatenate([arm.ctrl_adr for arm in arms])] = 0.0  # they hold angles for what are torques now
     ctrl = home_controls(model)
-    return tuple(replace(arm, home_ctrl=ctrl) for arm in arms)
+    return tuple(replace(arm, home_ctrl=ctrl, unchecked_links=unchecked_links) for arm in arms)
 
 
 def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Sequence[str], recipe: Recipe | None) -> Arm:

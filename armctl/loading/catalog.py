@@ -18,7 +18,7 @@ from armctl.core.errors import ArmctlError, InputError, ModelError, UnknownNameE
 from armctl.core.file_reading import shown_path
 from armctl.core.validation import shown
 from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
-from armctl.loading.urdf import read_urdf
+from armctl.loading.urdf import Description, read_urdf
 from armctl.loading.urdf_file import UrdfFile, is_urdf, read_urdf_file
 
 if TYPE_CHECKING:
@@ -58,14 +58,14 @@ class Source:
         """The file as XML if it is a URDF or a xacro, else None; ModelError if it is one and cannot be read."""
         return read_urdf_file(self.path) if self.path is not None and is_urdf(self.path) else None
 
-    def read(self) -> tuple[mujoco.MjSpec, list[str]]:
-        """The description as a new specification, and what was left out of it, one sentence each; ModelError if it is none."""
+    def read(self, *, visual: bool = False) -> Description:
+        """The description as a new specification; ModelError if it is none. `visual` is that of `read_urdf`."""
         if self.path is None:
-            return self._copied_spec(), []
+            return Description(self._copied_spec(), [])
         try:
             if self.urdf is not None:
-                return read_urdf(self.urdf)
-            return mujoco.MjSpec.from_file(str(self.path)), []
+                return read_urdf(self.urdf, visual=visual)
+            return Description(mujoco.MjSpec.from_file(str(self.path)), [])
         except _MUJOCO_ERRORS as error:
             if "'mujocoinclude'" in str(error):
                 raise ModelError(f"{self._label}: a part of an MJCF; load the file that includes it") from None

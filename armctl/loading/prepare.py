@@ -27,6 +27,8 @@ class PreparedModel:
     plans: tuple[ArmPlan, ...]  # the arms; their bodies are numbered as in this model
     notes: tuple[str, ...]  # what was changed besides the motors, one sentence each; they are reported as warnings
     quiet_notes: tuple[str, ...]  # changes that need no warning, one sentence each
+    unchecked_links: tuple[str, ...] = ()  # links without a collision shape that they need
+    shape_note: str = ""  # what is noted about them, one sentence; empty if there are none
 
 
 def make_arm_model(

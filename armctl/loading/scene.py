@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +53,7 @@ class SceneFile:
         if not Path(path).is_file():
             raise ModelError(f"scene: {path}: no such file")
         source = Source(Path(path).stem, Path(path))
-        self._spec, _ = source.read()
+        self._spec = source.read().spec
         self._prefix = f"{source.name}/"
         model = source.compile(self._spec)
         if model.nactuator or model.ntendon:
@@ -194,15 +196,19 @@ class Scene:
         # bend: MuJoCo's friction creeps at the centripetal acceleration x time constant / 2. With condim 4 an object held by
         # two fingers does not spin between them. With priority 1 these parameters hold for every gripper.
         gripped = {"solref": (2 * spec.option.timestep, 1.0), "solimp": _STIFF_SOLIMP, "condim": 4, "priority": 1}
+        # Things collide with every shape of the robot, whichever bits its file uses.
+        bits = reduce(or_, (geom.contype | geom.conaffinity for geom in spec.geoms), 1)
+        collides = {"contype": bits, "conaffinity": bits}
         if self._file:
             self._file.build(spec, gripped)
         for item in self.items:
             body = spec.worldbody.add_body(name=item.name, pos=item.pose.position, quat=item.pose.quat)
             if item.mass is None:
-                body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_FIXED_COLOR)
+                body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_FIXED_COLOR, **collides)
                 continue
             body.add_freejoint(name=item.name)
-            body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_LOOSE_COLOR, mass=item.mass, **gripped)
+            loose = {"rgba": _LOOSE_COLOR, "mass": item.mass, **gripped, **collides}
+            body.add_geom(name=item.name, type=item.shape, size=item.size, **loose)
 
     def _repr_html_(self) -> str:
         rows = [

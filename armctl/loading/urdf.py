@@ -1,9 +1,11 @@
 """What MuJoCo leaves out of a URDF: motors, speed limits, and meshes that it does not find; and corrected inertias."""
 
+import copy
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,6 +19,7 @@ from armctl.mjmodel.transmissions import Transmission
 
 _RIGID = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's solimp
 _READABLE = (".stl", ".obj", ".msh")
+_DENSITY_KG_M3 = 1000.0
 # Of a moving link without any: a ball of 1 g with a radius of 5 cm.
 MIN_MASS_KG = 1e-3
 MIN_INERTIA_KG_M2 = 1e-6
@@ -25,16 +28,31 @@ _MIN_RELATIVE_SPREAD = 1e-7  # of the greatest second moment: MuJoCo refuses an 
 _NO_INERTIA = (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0)  # no full inertia, as MuJoCo writes it
 
 
-def read_urdf(file: UrdfFile) -> tuple[mujoco.MjSpec, list[str]]:
-    """A URDF as a specification with a motor on each joint that has one of its own, and a sentence for what was left out.
+class Description(NamedTuple):
+    """A robot as it was read."""
+
+    spec: mujoco.MjSpec
+    notes: list[str]  # what was left out, one sentence each
+    unread: frozenset[str] = frozenset()  # the bodies whose shapes are in the file, and could not be read
+    drawn: frozenset[str] = frozenset()  # the bodies that the file draws by a visual shape that can be read
+
+
+def read_urdf(file: UrdfFile, *, visual: bool = False) -> Description:
+    """A URDF as a specification with a motor on each joint that has one of its own.
 
     Every link stays a body, so that tool frames keep their names. Meshes are used for collisions only; one that cannot be
-    read is left out, because kinematics and dynamics do not need it.
+    read is left out, because kinematics and dynamics do not need it. With `visual`, links without a shape for collisions that
+    can be read have the geoms that the file draws them with; these do not collide.
     """
     root = file.root
-    spec = mujoco.MjSpec.from_file(str(file.path)) if file.text is None else mujoco.MjSpec.from_string(file.text)
+    if visual:
+        spec = _with_visual_geoms(file)
+    else:
+        spec = mujoco.MjSpec.from_file(str(file.path)) if file.text is None else mujoco.MjSpec.from_string(file.text)
     spec.compiler.fusestatic = False
-    notes = [*file.notes, *_find_meshes(spec, file.path, root), *correct_inertias(spec)]
+    notes, unread = _find_meshes(spec, file.path, root)
+    unread |= _only_drawn(spec, root)
+    notes = [*file.notes, *notes, *correct_inertias(spec)]
     followers = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
     for mimic in spec.equalities:  # as rigid as MuJoCo allows: a URDF's mimic joints do not give way
         mimic.solref = (2 * spec.option.timestep, 1.0)
@@ -43,7 +61,7 @@ def read_urdf(file: UrdfFile) -> tuple[mujoco.MjSpec, list[str]]:
         is_scalar = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         if is_scalar and joint.name not in followers:
             spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    return spec, notes
+    return Description(spec, notes, frozenset(unread), _drawn_links(file))
 
 
 def speed_limits(file: UrdfFile | None, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> JointData | None:
@@ -72,8 +90,62 @@ def _speed(joint: str, limit: ElementTree.Element | None) -> float:
     return speed if math.isfinite(speed) else 0.0
 
 
-def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> list[str]:
-    """Points each mesh to its file, or removes it; one sentence for each reason of removal."""
+def _with_visual_geoms(file: UrdfFile) -> mujoco.MjSpec:
+    """The specification with the visual geoms of links whose shapes for collisions cannot be read."""
+    root = copy.deepcopy(file.root)
+    for link in root.findall("link"):
+        if any(_is_readable(file.path, shape) for shape in link.findall("collision")):
+            for drawn in link.findall("visual"):
+                link.remove(drawn)
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ElementTree.SubElement(root, "mujoco")
+    compiler = extension.find("compiler")
+    if compiler is None:
+        compiler = ElementTree.SubElement(extension, "compiler")
+    compiler.set("discardvisual", "false")
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    for geom in spec.geoms:
+        geom.density = _DENSITY_KG_M3  # as shapes for collisions have it; it counts only for links without an inertial
+    return spec
+
+
+def _drawn_links(file: UrdfFile) -> frozenset[str]:
+    """The links that a file draws by a shape that can be read."""
+    return frozenset(
+        link.get("name", "")
+        for link in file.root.findall("link")
+        if any(_is_readable(file.path, shape) for shape in link.findall("visual"))
+    )
+
+
+def _is_readable(path: Path, shape: ElementTree.Element) -> bool:
+    """Whether an element <collision> or <visual> has a geometry that MuJoCo can read."""
+    if shape.find("geometry") is None:
+        return False
+    mesh = shape.find("geometry/mesh")
+    if mesh is None:
+        return True
+    found = _locate(path, mesh.get("filename") or "")
+    return found is not None and not _unreadable(found)
+
+
+def _only_drawn(spec: mujoco.MjSpec, root: ElementTree.Element) -> set[str]:
+    """The moving links that a URDF draws, without a shape for collisions and without a mass from which one could see them."""
+    moving = {body.name for body in spec.bodies if body.joints}
+    return {
+        name
+        for link in root.findall("link")
+        if (name := link.get("name", "")) in moving
+        and link.find("visual") is not None
+        and link.find("collision") is None
+        and link.find("inertial") is None
+    }
+
+
+def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> tuple[list[str], set[str]]:
+    """Points each mesh to its file, or removes it: one sentence for each reason of removal, and the bodies that lost shapes."""
+    bodies: set[str] = set()
     names = [mesh.get("filename") or "" for mesh in root.iter("mesh")]
     by_file = {Path(name).name: name for name in names}
     left_out: dict[str, list[str]] = {}
@@ -87,6 +159,8 @@ def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> 
         left_out.setdefault(reason, []).append(file)
         for geom in list(spec.geoms):
             if geom.meshname == mesh.name:
+                if geom.contype:  # it is no visual geom
+                    bodies.add(geom.parent.name)
                 spec.delete(geom)
         spec.delete(mesh)
     notes = []
@@ -94,7 +168,7 @@ def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> 
         names = ", ".join(map(repr, dict.fromkeys(files)))
         noun = "meshes" if "," in names else "mesh"
         notes.append(f"collision {noun} {names:.120} left out: {reason:.240}")
-    return notes
+    return notes, bodies
 
 
 def _unreadable(mesh: Path) -> str:

@@ -6,12 +6,13 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import UnknownNameError
-from armctl.core.validation import Array
+from armctl.core.validation import Array, BoolArray
 
 # As numbers: `numpy.int32(3) in (mjtJoint.mjJNT_HINGE,)` is False, although the two compare equal with ==.
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
+DISABLES_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _MAX_CONTACTS = 64  # whose forces are read: more take longer than a control period
 _UNLIMITED_TRAVEL_M = 1000.0  # of a sliding joint; no axis of a robot is that long
 
@@ -148,6 +149,24 @@ def is_below(model: mujoco.MjModel, body: int, base: int) -> bool:
 def stands_alone(model: mujoco.MjModel, body: int, link: int) -> bool:
     """Whether a body is fixed, and not a part of the robot that carries a link."""
     return bool(model.body_weldid[body] == 0 and (body == 0 or not is_below(model, link, body)))
+
+
+def colliding_geoms(model: mujoco.MjModel) -> BoolArray:
+    """(ngeom,) which geoms are a shape against obstacles: those whose bits let them collide, if the model has contacts."""
+    if model.opt.disableflags & DISABLES_CONTACTS:
+        return np.zeros(model.ngeom, bool)
+    return (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+
+
+def robot_roots(model: mujoco.MjModel, joints: Joints) -> set[int]:
+    """The bodies in the world on which the robot of some joints stands: all below them is the robot."""
+    return {int(model.body_rootid[model.jnt_bodyid[joint]]) for joint in joints}
+
+
+def has_obstacles(model: mujoco.MjModel, joints: Joints) -> bool:
+    """Whether anything that is not the robot of some joints could be touched."""
+    owners = model.body_rootid[model.geom_bodyid[colliding_geoms(model)]]
+    return bool(set(owners.tolist()) - robot_roots(model, joints))
 
 
 def welded_behind(model: mujoco.MjModel, body: int) -> list[int]:

@@ -132,6 +132,7 @@ def optimize(
         if np.abs(motion(t).v).max() > 1e-9:
             raise InputError("motion: it starts or ends moving; expected one from rest to rest")
     space = FreeSpace(collision_checker(arm, None, allow), number("clearance", clearance, 0.0))
+    space.checker.require_provable()
     given_clearance = clearance_of(space.checker, motion, space.clearance)
     if not given_clearance.ok:
         raise PlanError(f"motion: {given_clearance.reason}; plan it with move_free, or take a smaller clearance")

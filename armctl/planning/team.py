@@ -48,6 +48,7 @@ class ArmGroup:
     units: tuple[str, ...]  # what each is measured in
     home: Array  # (N,) rad
     home_qpos: Array  # (nq,) the whole model at home
+    unchecked_links: tuple[str, ...]  # links without a collision shape that they need
 
     @classmethod
     def of(cls, arms: Sequence[Arm], speed: float = 1.0) -> ArmGroup:
@@ -61,6 +62,7 @@ class ArmGroup:
             units=actuation.units,
             home=np.concatenate([arm.home for arm in arms]),
             home_qpos=arms[0].home_qpos,
+            unchecked_links=arms[0].unchecked_links,
         )
 
 

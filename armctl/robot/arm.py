@@ -64,6 +64,8 @@ class Arm:
         notes: The assumptions made when it was loaded, one sentence each.
         sources: The source of each kind of limit, such as `{"tau_max": "forcerange"}`.
         recipe: How its model was made, for plants with further elements; None for an arm of a compiled model.
+        unchecked_links: The links of the robot without a collision shape that they need: as long as there are any, no motion is
+            proved free of contact. Empty if contacts can be checked.
     """
 
     if not TYPE_CHECKING:
@@ -94,6 +96,7 @@ class Arm:
     notes: tuple[str, ...]
     sources: dict[str, str]
     recipe: Recipe | None = None
+    unchecked_links: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:

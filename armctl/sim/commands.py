@@ -127,7 +127,8 @@ class Commands:
         Args:
             target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
             speed: Fraction of the full speed, in (0, 1].
-            avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight.
+            avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight. An arm whose
+                links lack a collision shape is refused where there is anything around it that it could touch.
             allow: Pairs of names of bodies or geoms that may touch.
             keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; needs `avoid`.
             keep_within: rad that this axis may tilt.

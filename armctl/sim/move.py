@@ -60,6 +60,7 @@ def plan_move(
     try:
         trajectory = planner()
         if checker is not None:
+            checker.require_provable()
             check = clearance_of(checker, trajectory, 0.0)
             if not check.ok:
                 return PlannedMove(target, refusal=check.reason)
@@ -78,8 +79,8 @@ def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeS
     arm.limits.at_speed(speed)  # a wrong speed is an error even if the target is out of reach
     if space is not None:
         return plan_free(arm, target, q_start, target, speed, space)
-    solution = solve_ik(arm, target, q_start, avoid_collisions=True)
-    if not solution.ok:
+    solution = solve_ik(arm, target, q_start, avoid_collisions=not arm.unchecked_links)
+    if not solution.ok and not arm.unchecked_links:
         solution = solve_ik(arm, target, q_start)
     if not solution.ok:
         return PlannedMove(target, refusal=solution.reason)
@@ -150,7 +151,7 @@ class ControlledArms:
         drive = self.drive
         trajectories = {tip: each.trajectory for tip, each in moves.items() if each.trajectory is not None}
         if not trajectories:
-            return {tip: _result(each, self.tip_pose(tip), 0.0, each.refusal, None) for tip, each in moves.items()}
+            return {tip: self._result(tip, each, self.tip_pose(tip), 0.0, each.refusal, None) for tip, each in moves.items()}
         begin = drive.data.time
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         reference = self._reference(trajectories, ticks_for(max(durations.values()), drive.dt))
@@ -172,7 +173,7 @@ class ControlledArms:
         if not is_done:
             tips = {tip: self.tip_pose(tip) for tip in moves}
         reasons = {tip: self._reason(tip, each, tips[tip], is_done) for tip, each in moves.items()}
-        return {tip: _result(each, tips[tip], duration, reasons[tip], self._logs[tip]) for tip, each in moves.items()}
+        return {tip: self._result(tip, each, tips[tip], duration, reasons[tip], self._logs[tip]) for tip, each in moves.items()}
 
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
@@ -289,17 +290,17 @@ class ControlledArms:
             return f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
         return ""
 
-
-def _result(move: PlannedMove, pose: Pose, duration: float, reason: str, log: Log | None) -> MoveResult:
-    position_error, orientation_error = move.target.distance(pose)
-    return MoveResult(
-        ok=not reason,
-        position_error=position_error,
-        orientation_error=orientation_error,
-        duration=duration,
-        reason=reason,
-        log=log,
-    )
+    def _result(self, tip: str, move: PlannedMove, pose: Pose, duration: float, reason: str, log: Log | None) -> MoveResult:
+        position_error, orientation_error = move.target.distance(pose)
+        return MoveResult(
+            ok=not reason,
+            position_error=position_error,
+            orientation_error=orientation_error,
+            duration=duration,
+            reason=reason,
+            log=log,
+            unchecked_links=self.arms[tip].unchecked_links,
+        )
 
 
 class _JointController:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.collision.checker import CollisionChecker
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.interface import Controller, State
 from armctl.core import hooks
@@ -16,6 +18,7 @@ from armctl.core.other_names import with_hints
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import flag, number, vector
 from armctl.loading.load import load
+from armctl.mjmodel.queries import has_obstacles
 from armctl.robot.arm import Arm
 from armctl.sim.commands import Commands
 from armctl.sim.contact_reaction import ContactReaction, check_reaction
@@ -171,6 +174,11 @@ class Simulation(Commands):
         with self._arms.recording({self.arm.tip: seconds}, controller=constant) as recorder:
             self._stepper.run(constant, TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
         return self._arms.logs[self.arm.tip]
+
+    def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
+        """As of all commands. With nothing around it, an arm whose links have no shape moves; the result names the links."""
+        is_alone = bool(self.arm.unchecked_links) and not has_obstacles(self.model, self.arm.joint_map.joints)
+        return super()._checker(flag("avoid", avoid) and not is_alone, allow)
 
     @property
     def _held(self) -> str:

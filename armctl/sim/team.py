@@ -17,6 +17,7 @@ from armctl.core.result import MoveResult
 from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import flag, number, shown
+from armctl.mjmodel.queries import has_obstacles
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import configurations_for
 from armctl.planning.team import ArmGroup, plan_together
@@ -164,6 +165,8 @@ class Team:
         if self._arms.drive.blocked or not goals:
             return {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
         group = ArmGroup.of(list(self.arms.values()), speed)
+        if group.unchecked_links and not has_obstacles(self.model, group.joint_map.joints):
+            return {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
         held = {tip: gripper.held for tip, gripper in self._grippers.items() if gripper.held}
         carried = {self.model.body(body).id: self.arms[tip].tip_body for tip, body in held.items()}
         kept = [pair for body in held.values() for pair in touched_by(self.model, self.data, body)]

@@ -13,7 +13,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from arms import ARMS, arm_of
+from arms import ARMS, ARMS_WITH_SHAPES, arm_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
@@ -278,7 +278,7 @@ def test_an_arm_that_nobody_needs_any_more_is_forgotten():
     assert alive() is None
 
 
-@every_arm
+@pytest.mark.parametrize("name", ARMS_WITH_SHAPES)
 def test_avoiding_collisions_is_what_mujoco_says(name: str):
     arm = arm_of(name)
     contacts = collision_checker(arm)

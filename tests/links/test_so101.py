@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -50,7 +51,8 @@ def bus() -> Iterator[Bus]:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory) -> armctl.Arm:
     shape = Shape(0.1, 0.3, 10.0, range="-1.9 1.9", joint='damping="0.1" armature="0.02"', joints=5, home="0 0.3 0.6 0.3 0")
-    return serial_arm(tmp_path_factory.mktemp("so101"), shape)
+    with warnings.catch_warnings(action="ignore", category=armctl.ArmctlWarning):
+        return serial_arm(tmp_path_factory.mktemp("so101"), shape, shapes="visual")
 
 
 @pytest.fixture

@@ -378,7 +378,8 @@ def test_a_mesh_is_found_in_its_ros_package(tmp_path: Path):
     path.write_text(urdf(FIRST, SECOND, THIRD, TOOL, shapes=MESH.format("package://robot/meshes/one.obj")))
     arm = armctl.load(path)
     assert arm.model.nmesh == 1
-    assert not arm.notes
+    assert arm.unchecked_links == ("two", "three")  # the links without a mesh
+    assert len(arm.notes) == 1
 
 
 @pytest.mark.parametrize("text", ["<robot", urdf(JOINT.format("j", "floating", "one", "two", ""), FIRST, THIRD, TOOL)])

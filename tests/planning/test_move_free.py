@@ -300,7 +300,7 @@ def test_a_motion_keeps_half_of_the_clearance(tmp_path):
     path = tmp_path / "slides.xml"
     path.write_text(
         '<mujoco><worldbody><geom name="box" type="box" size="0.1 0.1 0.1" pos="0 0.135 0"/>'
-        '<body><joint name="x" type="slide" axis="1 0 0" range="-1 1"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        '<body><joint name="x" type="slide" axis="1 0 0" range="-1 1"/><inertial pos="0 0 0" mass="0.001" diaginertia="1 1 1"/>'
         '<body><joint name="y" type="slide" axis="0 1 0" range="-1 1"/><geom size="0.02" mass="1"/><site name="tip"/></body>'
         '</body></worldbody><actuator><motor joint="x" ctrlrange="-99 99"/><motor joint="y" ctrlrange="-99 99"/></actuator>'
         "</mujoco>"
