@@ -26,6 +26,7 @@ from armctl.sim.plant import WITH_ENCODER, Plant
 from armctl.sim.simulate import rows_as_runs, run_many
 
 DEFAULT_POSES = 5
+DEFAULT_DWELL_S = 2.0  # a law without integral action that decays as exp(-4 t) has settled then
 
 
 def compare(
@@ -36,6 +37,7 @@ def compare(
     *,
     workers: int = 1,
     poses: int = DEFAULT_POSES,
+    dwell: float = DEFAULT_DWELL_S,
 ) -> Comparison:
     """Follows one trajectory under every controller on every plant. A progress bar appears on a terminal after two seconds.
 
@@ -46,12 +48,14 @@ def compare(
         workers: Number of threads, as for `simulate_many`.
         poses: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins` with its search
             for the worst ones; 0 for neither.
+        dwell: s, how long each controller holds the end of the motion: the final errors are those after it, and the settling
+            time counts from its beginning.
 
     Returns:
         A list with one report per pair, plant by plant. A run that failed after its first tick has a report, too.
 
     Raises:
-        InputError: There is no controller or no plant, or the number of threads is not positive.
+        InputError: There is no controller or no plant, or the number of threads is not positive, or the dwell is negative.
         UnknownNameError: There is no such controller.
         SimulationError: A controller failed at its first tick.
     """
@@ -69,7 +73,9 @@ def compare(
     poses = integer("poses", poses, 0)
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
     reports = Comparison()
-    found = run_many(arm, runs, lambda _, log: Report.from_log(log), threads=integer("workers", workers, 1))
+    dwell = number("dwell", dwell, 0.0)
+    threads = integer("workers", workers, 1)
+    found = run_many(arm, runs, lambda _, log: Report.from_log(log), dwell=dwell, threads=threads)
     for pair, report in zip(pairs, found, strict=True):
         labelled = replace(report, controller=pair.controller_label, plant=pair.plant_label)
         reports.append(_with_margins(arm, pair, labelled, poses) if poses else labelled)
@@ -134,6 +140,7 @@ def _with_margins(arm: Arm, pair: _Pair, report: Report, poses: int) -> Report:
         delay_margin_s=found.delay.value,
         peak_sensitivity=found.peak_sensitivity.value,
         damping_ratio=found.damping.value,
+        slowest_pole_per_s=found.slowest_pole.value,
     )
 
 

@@ -59,6 +59,7 @@ class Report(Verdict):
         delay_margin_s: The smallest delay margin of the controller on the plant; NaN unless `compare` computed margins.
         peak_sensitivity: Its largest Ms; NaN as for the delay margin.
         damping_ratio: That of its least damped vibration, likewise; infinite if there is none.
+        slowest_pole_per_s: 1/s, the lowest rate with which an error decays, by the controller's slowest pole; NaN likewise.
         residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
             rests.
     """
@@ -90,6 +91,7 @@ class Report(Verdict):
     peak_sensitivity: float = math.nan
     damping_ratio: float = math.nan
     residual_vibration_m: float = math.nan
+    slowest_pole_per_s: float = math.nan
 
     @classmethod
     def from_log(cls, log: Log, tolerance: float = TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE) -> Report:
@@ -231,12 +233,14 @@ def report_table(reports: Sequence[Report]) -> Table:
         "tip RMS": lambda r: length_text(r.tip_rms_m),
         "tip max": lambda r: length_text(r.tip_max_m),
         "final tip error": lambda r: length_text(r.final_tip_error_m),
+        "settled, s": lambda r: _margin_text(r.settling_time_s),
         "peak torque": lambda r: f"{100 * r.peak_torque_ratio:.0f} %",
         f"chatter, {units.label(units.of_torque(joint_units))}": lambda r: _chatter_text(r.chatter_nm),
     }
     if not all(math.isnan(r.peak_sensitivity) for r in reports):
         columns["delay margin, ms"] = lambda r: _margin_text(1e3 * r.delay_margin_s)
         columns["Ms"] = lambda r: _margin_text(r.peak_sensitivity)
+        columns["slowest pole, 1/s"] = lambda r: _margin_text(r.slowest_pole_per_s)
         if any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports):
             columns["least damping"] = lambda r: _margin_text(r.damping_ratio)
     columns["verdict"] = lambda r: r.verdict.split(":")[0] + (", with contact" if r.contacts else "")
@@ -265,8 +269,10 @@ _RANKED: dict[str, Callable[[Report], float]] = {
     "tip RMS": lambda r: r.tip_rms_m,
     "tip max": lambda r: r.tip_max_m,
     "final tip": lambda r: r.final_tip_error_m,
+    "settled": lambda r: r.settling_time_s,
     "delay margin": lambda r: -r.delay_margin_s,
     "Ms": lambda r: r.peak_sensitivity,
+    "slowest pole": lambda r: -r.slowest_pole_per_s,
     "least damping": lambda r: -r.damping_ratio,
 }
 

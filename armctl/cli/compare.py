@@ -42,6 +42,9 @@ def add(commands: common.Commands) -> None:
         "--poses", type=int, default=5, help="configurations at which margins are computed, 0 for none (default %(default)s)"
     )
     parser.add_argument(
+        "--dwell", metavar="S", default="2", help="seconds for which the end of the motion is held (default %(default)s)"
+    )
+    parser.add_argument(
         "--delay-margin",
         metavar="S",
         help="tune every controller to this delay margin first, as armctl tune does (default: its default gains)",
@@ -67,12 +70,14 @@ def run(args: argparse.Namespace) -> int:
     timestep = common.timestep_from(args)
     controllers = common.controllers_from(args.controllers)
     noise = number("encoder_noise", common.one_number("encoder_noise", args.encoder_noise), 0.0)
+    dwell = number("dwell", common.one_number("dwell", args.dwell), 0.0)
     plants = [plant_by_name(name, arm, timestep) for name in common.names(args.plants)]
     plants = [each if each.encoder_noise else replace(each, encoder_noise=noise, name=str(each)) for each in plants]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
     laws, notes = _tuned(args, arm, controllers, plants) if args.delay_margin else (controllers, [])
-    reports = compare(arm, laws, out_and_back(arm, speed=speed), plants, workers=args.workers, poses=args.poses)
+    motion = out_and_back(arm, speed=speed)
+    reports = compare(arm, laws, motion, plants, workers=args.workers, poses=args.poses, dwell=dwell)
     notes += remarks(reports)
     if notes:
         notes.append("")

@@ -62,7 +62,8 @@ class ComputedTorqueQP(ComputedTorque):
         return {
             "stiffness": self.bandwidth**2,
             "damping": 2 * self.damping_ratio * self.bandwidth,
-            "added_inertia": self.added_inertia(dt),
+            "added_damping": self._added_damping(dt),
+            "decay_rate": self.bandwidth,
             "q_min": limits.q_min,
             "q_max": limits.q_max,
             "v_max": limits.v_max,

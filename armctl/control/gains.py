@@ -229,9 +229,9 @@ def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -
     """Inertia, (n,) kg m^2, that the feedback of computed torque may add to joints of negligible inertia.
 
     Feedback in proportion to a negligible inertia would yield to any friction or payload. The inertia that the joint's motor
-    accelerates at 1000 rad/s^2 is enough. With an added inertia E, the loop gain grows by the eigenvalues of 1 + M^-1 E; the
-    delay margin bounds the largest one, which a search over all configurations finds. The bandwidth, rad/s, and the damping
-    ratio are those of the feedback of the unit masses.
+    accelerates at 1000 rad/s^2 is enough. With an added inertia E, whose feedback is 2 z w E (e_dot + w e) for the bandwidth w,
+    rad/s, and the damping ratio z of the unit masses, the loop gain grows by the eigenvalues of 1 + M^-1 E; the delay margin
+    bounds the largest one, which a search over all configurations finds.
     """
     known = _extra.setdefault(arm, {})
     key = (bandwidth, damping_ratio, dt)
@@ -243,7 +243,8 @@ def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -
 def _extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -> Array:
     smallest = effective_inertia(arm).min(axis=0)
     rate = max(2 * damping_ratio * bandwidth, 1e-12)
-    max_growth = max(0.0, max_damping_rate(bandwidth**2 / rate, dt) / rate - 1.0)
+    stiffness_per_damping = bandwidth * max(1.0, bandwidth / rate)  # of the added feedback, or of that of the unit masses
+    max_growth = max(0.0, max_damping_rate(stiffness_per_damping, dt) / rate - 1.0)
     extra = np.clip(arm.limits.tau_max / MAX_MOTOR_ACCELERATION - smallest, 0.0, max_growth * smallest)
     if not extra.any():
         return extra

@@ -159,6 +159,11 @@ class Loop:
         return np.linalg.eigvals(self.A - self.B @ self.C).astype(np.complex128)
 
     @property
+    def slowest_pole(self) -> float:
+        """1/s, the rate with which the slowest error of the closed loop decays; negative if one grows."""
+        return -float(np.log(max(np.abs(self._poles).max(), np.finfo(float).tiny))) / self.dt
+
+    @property
     def is_stable(self) -> bool:
         """Whether the closed loop is stable."""
         return bool(np.abs(self._poles).max() < 1.0)

@@ -52,6 +52,7 @@ class Margins(Verdict):
         peak_sensitivity: The largest Ms.
         damping: The smallest damping ratio of `Loop.vibrations`; infinite if there are none, 0 of an unstable loop.
         frequency: rad/s, of that vibration; NaN if there is none.
+        slowest_pole: 1/s, the lowest rate with which an error decays: that of the slowest closed-loop pole.
         chatter: N m (N), the largest torque noise that the plant's sensors cause, over all joints: see `Loop.chatter`.
         loops: How many loops were examined, with the two worst ones of the searches.
         reason: The reason if it is not ok; empty if it is.
@@ -69,6 +70,7 @@ class Margins(Verdict):
     peak_sensitivity: WorstMargin
     damping: WorstMargin
     frequency: float
+    slowest_pole: WorstMargin
     chatter: WorstMargin
     loops: int
     reason: str
@@ -101,7 +103,17 @@ class Margins(Verdict):
             "loops": self.loops,
             "frequency": self.frequency if isfinite(self.frequency) else None,
         }
-        for name in ("delay", "gain", "lower_gain", "upper_gain", "phase", "peak_sensitivity", "damping", "chatter"):
+        for name in (
+            "delay",
+            "gain",
+            "lower_gain",
+            "upper_gain",
+            "phase",
+            "peak_sensitivity",
+            "damping",
+            "slowest_pole",
+            "chatter",
+        ):
             worst: WorstMargin = getattr(self, name)
             value = worst.value if isfinite(worst.value) else None
             figures[name] = {"value": value, "q": worst.q.tolist(), "plant": worst.plant}
@@ -215,6 +227,7 @@ def _worst(arm: Arm, law: Controller, loops: list[Loop], found: list[LoopMargins
         peak_sensitivity=_worst_of(loops, [each.peak_sensitivity for each in found], np.argmax),
         damping=_worst_of(loops, ratios),
         frequency=least[int(np.argmin(ratios))].frequency,
+        slowest_pole=_worst_of(loops, [loop.slowest_pole for loop in loops]),
         chatter=_worst_of(loops, [float(np.sqrt(np.mean(loop.chatter() ** 2))) for loop in loops], np.argmax),
         loops=len(loops),
         reason=_reason(loops, found, least),

@@ -183,7 +183,9 @@ def computed_torque(model: ArmModel, gains: ComputedTorqueGains, q: jax.Array, v
     """
     rate = reference.v_tick - v
     correction = gains.stiffness * (reference.q - q) + gains.damping * rate
-    return _tracking_torque(model, q, v, reference.a_tick + correction, reference) + gains.added_inertia * correction
+    added = gains.damping * gains.added_inertia * rate
+    held = (model.damping[:, 0] + gains.damping * gains.added_inertia) * jnp.sqrt(gains.stiffness) * (reference.q - q)
+    return _tracking_torque(model, q, v, reference.a_tick + correction, reference) + added + held
 
 
 @checked

@@ -32,7 +32,7 @@ def test_the_feedback_of_computed_torque_is_an_acceleration_times_the_inertia_an
         without = law.torque(state, Setpoint(q, v, np.zeros(arm.n)))
         with_feedback = law.torque(state, Setpoint(q + error, v + error_rate, np.zeros(arm.n)))
         correction = 15.0**2 * error + 2 * 0.8 * 15.0 * error_rate
-        expected = arm.mass_matrix(q) @ correction + added * correction
+        expected = arm.mass_matrix(q) @ correction + 2 * 0.8 * 15.0 * added * (error_rate + 15.0 * error)
         assert with_feedback - without == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(expected).max())
     if shape is not BENT["six joints"]:
         assert (added > 0.0).any()

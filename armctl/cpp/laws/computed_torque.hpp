@@ -6,16 +6,24 @@
 
 namespace armctl {
 
-// tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v)), at measured or estimated q and v
+// tau = ID(q, v, a_ref + stiffness e + damping e_dot) + (D + added_damping) (e_dot + decay_rate e), at measured or estimated q, v
 //
-// The textbook form inverts the differential equation, with a model of continuous time. The other form inverts the motion over
-// one control period, with the model of that period and a reference that is differenced on the tick grid.
+// The textbook form is the first term alone. It inverts the differential equation, with a model of continuous time. The other form
+// inverts the motion over one control period, with the model of that period and a reference that is differenced on the tick grid.
+//
+// D, the linear damping of the joints, is thus compensated at the velocity v_ref + decay_rate e, and helps the feedback: compensated
+// at a measured velocity, which is late, large damping would be a large positive feedback. With the bandwidth w of the feedback as
+// decay_rate, no error decays more slowly than without the second term: M (s^2 + 2 z w s + w^2) + (D + added_damping) (s + w) has,
+// for any z, the slowest root of the first factor or a faster one, and for z = 1 the root -w.
 class ComputedTorque : public Cloneable<ComputedTorque, EstimatedMotion> {
 public:
     // The gains are the members and those of EstimatedMotion; without a weight of the position, q and v are the measured ones.
     ComputedTorque(const Model& model, const Arguments& gains, size_t further_memory = 0)
         : Cloneable(model, gains, gains.number("position_weight") > 0.0 && gains.number("dt") > 0.0, further_memory),
-          added_inertia_(gains.numbers(joints(), "added_inertia")), textbook_(gains.flag("textbook")) {}
+          added_damping_(gains.numbers(joints(), "added_damping")), decay_rate_(gains.number("decay_rate")),
+          textbook_(gains.flag("textbook")) {
+        for (size_t i = 0; i < joints(); ++i) { added_damping_[i] += model->drives[i].damping.linear; }
+    }
 
     void torque(const State& measured, const Setpoint& setpoint, Result tau) override {
         State state = measured;
@@ -32,12 +40,9 @@ public:
         correct(setpoint.q);
         for (size_t i = 0; i < tau.size(); ++i) {
             acceleration_[i] = a_ref[i] + correction_[i];
-            added_torque_[i] = added_inertia_[i] * correction_[i];
+            added_torque_[i] = textbook_ ? 0.0 : added_damping_[i] * (error_rate_[i] + decay_rate_ * error_[i]);
         }
         dynamics_.inverse_dynamics(state.q, state.v, acceleration_, tau);
-        // Damping is compensated at the velocity of the reference: the arm's own damping then helps the feedback. Compensated at
-        // the measured velocity, large damping would be a large positive feedback.
-        dynamics_.add_linear_damping(error_rate_, added_torque_);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += added_torque_[i]; }
         dynamics_.add_friction(v_ref, a_ref, tau);
         if (has_estimate_) { predict(tau); }
@@ -52,7 +57,7 @@ protected:
     // Of the last tick.
     Numbers error_ = zeros(), error_rate_ = zeros();
     Numbers correction_ = zeros();    // the acceleration of the feedback
-    Numbers added_torque_ = zeros();  // of the added inertia and of the damping, which inverse dynamics does not contain
+    Numbers added_torque_ = zeros();  // of the second term, which inverse dynamics does not contain
 
 private:
     // The acceleration of the coming period: the commanded one, and that of added torques and of what the motors cut off.
@@ -62,7 +67,8 @@ private:
         for (size_t i = 0; i < tau.size(); ++i) { acceleration()[i] = acceleration_[i] + further_acceleration_[i]; }
     }
 
-    Numbers added_inertia_;  // (n,) kg m^2, with which the feedback of joints of negligible inertia acts
+    Numbers added_damping_;  // (n,) N m s/rad, with the linear damping of the joints
+    double decay_rate_;      // 1/s
     bool textbook_;
     Numbers acceleration_ = zeros(), further_acceleration_ = zeros();
 };
