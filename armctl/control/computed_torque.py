@@ -33,8 +33,8 @@ class ComputedTorque(ArmController):
     position corrects both, so a velocity that is differenced from encoder positions causes little torque noise. The velocity is
     measured at the first tick only.
 
-    The textbook form is the formula, to rounding. It compensates damping at the measured velocity, which is late: on an arm with
-    large damping and small inertia it may oscillate. It has a tracking error of (k_d / k_p) (dt / 2) a_ref.
+    The textbook form is the formula, to rounding. It compensates damping at the measured velocity, which is late: on an arm
+    with large damping and small inertia it may oscillate. It has a tracking error of (k_d / k_p) (dt / 2) a_ref.
     """
 
     bandwidth: Gain[float] = scalar_gain()
