@@ -103,6 +103,7 @@ def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
     for name in ("q", "tau"):
         if not np.isfinite(getattr(log, name)).all():
             raise InputError(f"log: {name}: a number is not finite")
+    arm.check_units("log: q", log.q, "Log.from_csv(path, units={'q': 'deg'}) reads degrees")
     return log
 
 

@@ -200,6 +200,8 @@ def _check(arm: Arm, what: str, log: Log) -> None:
         )
     if not (np.isfinite(log.q).all() and np.isfinite(log.q_ref).all()):
         raise InputError(f"{what}: q and q_ref must be finite; q_ref holds the commanded positions")
+    for name in ("q", "q_ref"):
+        arm.check_units(f"{what}: {name}", getattr(log, name), "a Log has rad")
     if len(log) * log.dt < _MIN_SECONDS:
         raise InputError(f"{what}: expected at least {_MIN_SECONDS:g} s, got {len(log) * log.dt:.3g} s")
 

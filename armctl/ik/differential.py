@@ -103,9 +103,14 @@ class DifferentialIk:
 
         Returns:
             (n,) rad/s (m/s for a slide joint).
+
+        Raises:
+            InputError: An argument has a wrong shape, type or value.
+            LimitError: A joint is half a turn (1 m) or more outside its limits, as degrees are.
         """
         constraint, numbers = read_target(target, free_axis)
         start = vector("q", q, self.arm.n)
+        self.arm.check_units("q", start)
         dt = number("dt", dt, 1e-9)
         low, high = self._bounds(start, dt)
         self.tip.constraint = constraint

@@ -43,7 +43,7 @@ _STATUS = 65
 _COUNTS = 4096  # per turn
 _STATUS_BITS = ("voltage", "angle sensor", "overheated", "overcurrent", "", "overload")
 
-_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")  # as LeRobot names them, from the base
 _MAX_CALIBRATION_BYTES = 1_000_000
 _TRAVEL_TOLERANCE = 0.25  # of the model's range, by which the calibrated travel may differ
 _FULL_TURN_COUNTS = 4000  # a recorded travel of more is that of a joint without stops
@@ -92,8 +92,8 @@ class SO101(Link):
             InputError: The arm has no five joints, or the file is missing, is no calibration, or does not fit the arm.
         """
         check_arm(arm)
-        if arm.n != len(_JOINTS):
-            raise InputError(f"arm: {arm.name:.60} has {arm.n} joints, an SO-101 has {len(_JOINTS)} without its gripper")
+        if arm.n != len(JOINTS):
+            raise InputError(f"arm: {arm.name:.60} has {arm.n} joints, an SO-101 has {len(JOINTS)} without its gripper")
         self.port = str(port)
         self.name = f"SO-101 at {port}"
         self.address = self.port
@@ -164,7 +164,7 @@ class SO101(Link):
         return ticks, seen
 
     def send(self, q: Array, last: bool) -> None:
-        q = vector("q", q, len(_JOINTS))
+        q = vector("q", q, len(JOINTS))
         self._write(np.rint((q - self._q_middle) * (_COUNTS / (2.0 * np.pi)) + self._middle).astype(np.int64))
         self._told = q
 
@@ -241,7 +241,7 @@ def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
         rows = json.loads(read_bytes(path, _MAX_CALIBRATION_BYTES))
     servos = []
     ranges = arm.limits.q_max - arm.limits.q_min
-    for name, model_range in zip(_JOINTS, ranges.tolist(), strict=True):
+    for name, model_range in zip(JOINTS, ranges.tolist(), strict=True):
         try:
             row = rows[name]
             low = int(row["range_min"])

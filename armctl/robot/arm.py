@@ -28,6 +28,9 @@ from armctl.robot.dynamics import Dynamics, core_model
 from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
+# Joint positions that are further outside their limits are taken for another unit.
+_FAR_RAD = np.pi
+_FAR_M = 1.0
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
 _ROUNDING = 1e-9  # relative, of a torque limit that was divided by a gear and multiplied by it
 
@@ -186,10 +189,57 @@ class Arm:
         outside = (given < low - margin) | (given > high + margin)
         if outside.any():
             i = int(outside.argmax())
-            name = self.joint_names[i]
-            unit = self.units[i]
-            raise LimitError(f"{what}: {name}: {given[i]:g} {unit} is outside [{low[i]:.3f}, {high[i]:.3f}] {unit}")
+            excess = float(max(low[i] - given[i], given[i] - high[i]))
+            raise LimitError(f"{what}: {self._outside(i, float(given[i]))}{self.unit_question(i, excess)}")
         return self.limits.clamp(given)
+
+    def check_units(self, what: str, q: ArrayLike, remedy: str = "") -> None:
+        """Refuses joint positions that are too far outside the limits to be rad or m, for calls that accept positions outside.
+
+        Half a turn, or a metre, outside is taken for degrees, or millimetres.
+
+        Args:
+            what: The name of the argument, for the error.
+            q: (n,) or (T, n) rad (m for a slide joint).
+            remedy: What to do, for the error; by default how to convert them.
+
+        Raises:
+            LimitError: A position is far outside its limits.
+        """
+        given = np.asarray(q, dtype=np.float64).reshape(-1, self.n)
+        if ((given >= self.limits.q_min) & (given <= self.limits.q_max)).all():
+            return
+        excess = np.maximum(self.limits.q_min - given, given - self.limits.q_max)
+        far = excess > self._far
+        if far.any():
+            row = int(far.any(axis=1).argmax())
+            i = int(far[row].argmax())
+            question = self.unit_question(i, float(excess[row, i]), remedy)
+            raise LimitError(f"{what}: {self._outside(i, float(given[row, i]))}{question}")
+
+    def unit_question(self, joint: int, excess: float, remedy: str = "") -> str:
+        """The question whether a position has another unit, to append to a sentence; empty if it is not far outside.
+
+        Args:
+            joint: Its number.
+            excess: rad (m) by which the position is outside the limits.
+            remedy: As for `check_units`.
+        """
+        if not excess > self._far[joint]:
+            return ""
+        if self.units[joint] == "m":
+            return f"; millimetres? {remedy or 'slide joints are in m'}"
+        return f"; degrees? {remedy or 'np.radians converts them'}"
+
+    @property
+    def _far(self) -> Array:
+        return np.where(np.array(self.units) == "m", _FAR_M, _FAR_RAD)
+
+    def _outside(self, i: int, value: float) -> str:
+        low = self.limits.q_min[i]
+        high = self.limits.q_max[i]
+        unit = self.units[i]
+        return f"{self.joint_names[i]}: {value:g} {unit} is outside [{low:.3f}, {high:.3f}] {unit}"
 
     def fk(self, q: ArrayLike) -> Pose:
         """Forward kinematics: T_world_tip."""

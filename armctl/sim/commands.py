@@ -97,17 +97,18 @@ class Commands:
         return target_pose(self.model, self.data).position
 
     def run(self, trajectory: Trajectory, dwell: float = 0.0) -> Log:
-        """Follows a trajectory that starts now.
+        """Follows a trajectory that starts now. One that ends moving gives a warning, because its reference stops dead.
 
         Args:
-            trajectory: The motion; it should start where the arm is.
+            trajectory: The motion; it starts where the arm is, or where its last reference ended.
             dwell: s to hold its end.
 
         Returns:
             Every tick of it. A run that diverges ends early, and `log.failure` gives the reason.
 
         Raises:
-            InputError: It is no motion or a motion of other joints, or the dwell time is negative or too long for a log.
+            InputError: It is no motion or a motion of other joints, it starts elsewhere, or the dwell time is negative or too
+                long for a log.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         return self._arms.run({self.arm.tip: trajectory}, number("dwell", dwell, 0.0))[self.arm.tip]

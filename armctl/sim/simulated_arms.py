@@ -9,16 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.interface import Controller, State, controller_name
-from armctl.core.errors import ArmctlWarning
+from armctl.core.errors import ArmctlWarning, InputError
 from armctl.core.log import Log
-from armctl.core.trajectory import Setpoint, TickReference, Trajectory
-from armctl.core.validation import Array
+from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
+from armctl.core.validation import Array, vector
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm
 from armctl.sim.contact_reaction import ContactReaction
 from armctl.sim.move import NO_TARGET, ControlledArms
 from armctl.sim.recorder import Recorder, TickRows
 from armctl.sim.stepper import Stepper
 
+START_TOLERANCE = 1e-3  # rad (m), between the start of a motion and the arm; such a step is no more than a move's tolerance
+START_SPEED_TOLERANCE = 1e-3  # rad/s (m/s), beside what the arm's acceleration changes in a tick
 _STEP_ROWS = 1024  # ticks for which memory is allocated at once while a caller steps
 
 
@@ -51,11 +54,67 @@ class SimulatedArms(ControlledArms):
         return self._logs
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
-        """Sets time to 0 and the joints to q and v; home and rest by default."""
+        """Sets time to 0 and the joints to q and v; home and rest by default. LimitError far outside the limits."""
+        if q is not None:
+            q = vector("q", q, self.stepper.n)
+            for tip, arm in self.arms.items():
+                arm.check_units("q", q[self._slices[tip]])
         self.stepper.reset(q, v)
         if self._steps is not None:
             self._logs = self.logs
             self._steps = None
+
+    def run(self, trajectories: Mapping[str, Trajectory], dwell: float) -> dict[str, Log]:
+        """As every run. InputError for a motion that begins elsewhere, LimitError for one far outside the limits."""
+        for tip, trajectory in trajectories.items():
+            check_motion(trajectory, self.arms[tip].joint_names)
+            self._check_start(tip, trajectory)
+            if isinstance(trajectory, JointTrajectory):
+                self._check_end(tip, trajectory)
+        return super().run(trajectories, dwell)
+
+    def _check_start(self, tip: str, trajectory: Trajectory) -> None:
+        """InputError if a motion begins neither where the arm is nor where its last reference ended, nor between them."""
+        arm = self.arms[tip]
+        joints = self._slices[tip]
+        start = trajectory(0.0)
+        q = np.asarray(start.q, dtype=np.float64)
+        arm.check_units("trajectory", q)
+        state = self.stepper.state
+        here = np.stack([state.q[joints], self.stepper.q_ref[joints]])
+        gap = _outside(q, here)
+        if gap.max() > START_TOLERANCE:
+            i = int(gap.argmax())
+            raise InputError(
+                f"trajectory: it begins with {arm.joint_names[i]} at {q[i]:.4g} {arm.units[i]}, {gap[i]:.2g} {arm.units[i]} "
+                f"from where the arm is, {here[0, i]:.4g} {arm.units[i]}; plan it from sim.state.q, call sim.reset(q=start) "
+                "before, or use armctl.simulate, which starts where the motion does"
+            )
+        v = np.asarray(start.v, dtype=np.float64)
+        speed = _outside(v, np.stack([state.v[joints], np.zeros(arm.n)]))
+        over = speed > arm.limits.a_max * self.stepper.dt + START_SPEED_TOLERANCE
+        if over.any():
+            i = int(over.argmax())
+            raise InputError(
+                f"trajectory: it begins with {arm.joint_names[i]} moving at {v[i]:.4g} {arm.units[i]}/s, but the arm moves at "
+                f"{state.v[joints][i]:.4g} {arm.units[i]}/s; plan it from the arm's state, or use armctl.simulate"
+            )
+
+    def _check_end(self, tip: str, trajectory: JointTrajectory) -> None:
+        """Warns of a motion that ends moving: its reference stops dead."""
+        arm = self.arms[tip]
+        v = np.abs(trajectory(trajectory.duration).v)
+        over = v > arm.limits.a_max * self.stepper.dt + START_SPEED_TOLERANCE
+        if over.any():
+            i = int(over.argmax())
+            warnings.warn(
+                ArmctlWarning(
+                    f"trajectory: it ends with {arm.joint_names[i]} moving at {v[i]:.3g} {arm.units[i]}/s, where the reference "
+                    f"stops dead, beyond the limit of acceleration; end it at rest: motion.stopped_at(t), or motion.then(...) "
+                    "with armctl.move_j(arm, motion(motion.duration), goal)"
+                ),
+                stacklevel=4,
+            )
 
     def _run(self, trajectories: Mapping[str, Trajectory], reference: TickReference, recorder: Recorder) -> None:
         if self.reaction is None:
@@ -102,6 +161,11 @@ class SimulatedArms(ControlledArms):
         self._logs = {tip: steps.recorder.log(arm, info) for tip, arm in self.arms.items()}
         steps.logged = steps.recorder.size
         self._give_log(error)
+
+
+def _outside(values: Array, ends: Array) -> Array:
+    """How far values (n,) are outside the intervals between two rows (2, n)."""
+    return np.maximum(np.maximum(ends.min(axis=0) - values, values - ends.max(axis=0)), 0.0)
 
 
 class _StepRecording:

@@ -127,6 +127,9 @@ class Simulation(Commands):
         Args:
             q: (n,) rad, the joint positions; home by default.
             v: (n,) rad/s, the joint velocities; at rest by default.
+
+        Raises:
+            LimitError: A position is half a turn (1 m) or more outside its limits, as degrees are.
         """
         if self._gripper is not None:
             self._gripper.reset()

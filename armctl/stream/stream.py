@@ -173,7 +173,8 @@ class Stream:
     def push(self, t: float, q: ArrayLike) -> None:
         """Takes a target, predicts how the targets go on, and follows them; if none follows, the arm rests at this one.
 
-        A target that is not newer than the last one changes nothing. One outside the position limits is moved inside.
+        A target that is not newer than the last one changes nothing. One outside the position limits is moved inside; one that
+        is half a turn (1 m) outside, as degrees are, is refused.
 
         Args:
             t: s, in the stream's time, when the arm should be there. Usually it has passed: the time of a measurement.
@@ -181,6 +182,7 @@ class Stream:
 
         Raises:
             InputError: A wrong length, a number that is not finite, or a time more than a minute ahead; nothing changes.
+            LimitError: A position far outside the limits; nothing changes.
         """
         time = self._time("t", t)
         target = self._clamped(vector("q", q, self._arm.n)[None])[0]
@@ -209,6 +211,7 @@ class Stream:
         Raises:
             InputError: Wrong shapes, more than 1000 rows, numbers that are not finite, times that do not increase or are more
                 than a minute ahead; nothing changes.
+            LimitError: A position far outside the limits; nothing changes.
         """
         t = vector("times", times)
         q = matrix("rows", rows, self._arm.n)
@@ -219,12 +222,13 @@ class Stream:
         if (np.diff(t) <= 0).any():
             raise InputError("times: they must increase from row to row")
         self._time("times", float(t[-1]))
+        clamped = self._clamped(q)
         ahead = t > self._t
         self._counts["dropped"] += int((~ahead).sum())
         self._counts["targets"] += int(ahead.sum())
         if not ahead.any():
             return
-        self._targets.push_chunk(t, self._clamped(q))
+        self._targets.push_chunk(t, clamped)
         self._plan()
 
     def push_pose(self, t: float, target: TargetLike) -> None:
@@ -356,7 +360,10 @@ class Stream:
 
     def _clamped(self, rows: Array) -> Array:
         inside = np.clip(rows, self._limits.q_min, self._limits.q_max)
-        self._counts["clamped"] += int((inside != rows).any(axis=1).sum())
+        outside = (inside != rows).any(axis=1)
+        if outside.any():
+            self._arm.check_units("q", rows)
+        self._counts["clamped"] += int(outside.sum())
         return inside
 
     def _compare(self, t: float, target: Array) -> None:

@@ -299,7 +299,11 @@ def test_a_height_field_cannot_be_avoided(tmp_path: Path):
 @pytest.mark.parametrize(
     ("arguments", "error", "sentence"),
     [
-        ({"posture": [0.0, 9.0, 0.0]}, LimitError, "posture: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
+        (
+            {"posture": [0.0, 9.0, 0.0]},
+            LimitError,
+            "posture: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad; degrees? np.radians converts them",
+        ),
         ({"solver": "dacp"}, InputError, "solver: expected one of daqp, osqp, got 'dacp'"),
         ({"clearance": -1.0}, InputError, "clearance: expected a number at least 0, got -1"),
         ({"limits": 1.0}, InputError, "limits: expected a list of mink Limit objects, got 1.0"),

@@ -391,7 +391,11 @@ def test_a_batch_shows_its_progress_to_a_person_only(monkeypatch, capsys):
         ({"target": [0.1, 0.2, float("nan")]}, InputError, "target: element [2] is nan, expected a finite number"),
         ({"target": "there"}, InputError, "target: 'there' is not an array of numbers"),
         ({"q0": [0.0, 0.0]}, InputError, "q0: expected 3 numbers, got 2"),
-        ({"q0": [0.0, 9.0, 0.0]}, LimitError, "q0: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
+        (
+            {"q0": [0.0, 9.0, 0.0]},
+            LimitError,
+            "q0: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad; degrees? np.radians converts them",
+        ),
         ({"position_tolerance": 0.0}, InputError, "position_tolerance: expected a number at least 1e-12, got 0"),
         ({"free_axis": "w"}, InputError, "free_axis: expected one of x, y, z, got 'w'"),
         (

@@ -68,9 +68,9 @@ def test_an_action_is_moved_inside_the_limits_and_a_wrong_one_changes_nothing():
     arm = armctl.links.LeRobotArm(simulation())
     arm.connect()
     limits = arm.robot.arm.limits
-    assert arm.send_action(action(np.full(3, 100.0))) == pytest.approx(action(limits.q_max))
+    assert arm.send_action(action(limits.q_max + 1.0)) == pytest.approx(action(limits.q_max))
     before = arm.robot.data.time
-    for wrong in ({}, {**action(np.zeros(3)), "gripper.pos": 1.0}, [0.0, 0.0, 0.0]):
+    for wrong in ({}, {**action(np.zeros(3)), "finger.pos": 1.0}, [0.0, 0.0, 0.0]):
         with pytest.raises(armctl.InputError, match=r"action: expected a dictionary with shoulder_yaw\.pos"):
             arm.send_action(wrong)
     with pytest.raises(armctl.InputError, match="is nan"):
@@ -112,3 +112,102 @@ def test_it_imports_neither_torch_nor_lerobot():
     code = "import sys, armctl.links; armctl.links.LeRobotArm; print({'torch', 'lerobot'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+# Numbers of an arm in degrees, or -100 to 100, that a program for rad would send to the stops of the joints.
+IN_OTHER_UNITS = [(90.0, 0.0, 0.0), (0.0, -30.0, 20.0), (10.0, -30.0, 20.0), (-100.0, 100.0, 0.0), (0.1, 0.2, 45.0)]
+
+
+@pytest.mark.parametrize("numbers", IN_OTHER_UNITS)
+@pytest.mark.parametrize("made", [simulation, robot])
+def test_degrees_are_refused_with_a_question_and_nothing_moves(made, numbers):
+    arm = armctl.links.LeRobotArm(made())
+    home = arm.robot.state.q
+    arm.connect()
+    for _ in range(5):
+        with pytest.raises(armctl.LimitError, match=r"action: .* is outside .* rad; degrees\? .*units=\"degrees\"") as caught:
+            arm.send_action(action(np.array(numbers)))
+        assert len(str(caught.value)) <= 400
+    arm.disconnect()
+    assert np.abs(arm.robot.state.q - home).max() < 1e-3
+
+
+def test_degrees_and_shares_of_the_range_are_read_and_shown_in_the_same_unit():
+    model = arm_of("robot_arm_3dof")
+    limits = model.limits
+    middle = 0.5 * (limits.q_min + limits.q_max)
+    wanted = model.home + np.array([0.2, -0.1, 0.15])
+    for options, numbers in (
+        ({}, wanted),
+        ({"units": "degrees"}, wanted * 180.0 / np.pi),
+        ({"units": "degrees", "zeros": "middle"}, (wanted - middle) * 180.0 / np.pi),
+        ({"units": "range_m100_100"}, -100.0 + 200.0 * (wanted - limits.q_min) / (limits.q_max - limits.q_min)),
+    ):
+        arm = armctl.links.LeRobotArm(armctl.Simulation(model), **options)
+        arm.connect()
+        for _ in range(60):
+            assert arm.send_action(action(numbers)) == pytest.approx(action(numbers))
+        assert list(arm.get_observation().values()) == pytest.approx(numbers, abs=0.2)
+        assert arm.robot.state.q == pytest.approx(wanted, abs=2e-3)
+        arm.disconnect()
+
+
+def test_numbers_far_outside_are_refused_in_every_unit():
+    for units in ("degrees", "range_m100_100"):
+        arm = armctl.links.LeRobotArm(simulation(), units=units)
+        arm.connect()
+        with pytest.raises(armctl.LimitError, match=f'read with units="{units}"'):
+            arm.send_action(action(np.array([0.0, 0.0, 4000.0])))
+        arm.disconnect()
+
+
+def test_joints_can_have_other_names():
+    names = ["shoulder_pan", "shoulder_lift", "elbow_flex"]
+    arm = armctl.links.LeRobotArm(simulation(), names=names)
+    assert list(arm.action_features) == [f"{name}.pos" for name in names]
+    arm.connect()
+    home = arm.robot.state.q
+    for keys in (arm.action_features, KEYS):
+        sent = dict(zip(keys, home.tolist(), strict=True))
+        assert arm.send_action(sent) == pytest.approx(sent)
+    arm.disconnect()
+    for wrong in (["a", "b"], ["a", "a", "b"]):
+        with pytest.raises(armctl.InputError, match="names: expected 3 different names"):
+            armctl.links.LeRobotArm(simulation(), names=wrong)
+
+
+def test_an_arm_without_gripper_refuses_its_number_or_ignores_it():
+    wanted = {**action(arm_of("robot_arm_3dof").home), "gripper.pos": 40.0}
+    arm = armctl.links.LeRobotArm(simulation())
+    arm.connect()
+    with pytest.raises(armctl.InputError, match=r"gripper\.pos: .* has no gripper .* gripper=False\) ignores it"):
+        arm.send_action(wanted)
+    arm.disconnect()
+    arm = armctl.links.LeRobotArm(simulation(), gripper=False)
+    arm.connect()
+    assert "gripper.pos" not in arm.send_action(wanted)
+    arm.disconnect()
+
+
+def test_the_names_and_the_gripper_of_an_so100_are_understood():
+    arm = armctl.links.LeRobotArm(armctl.Simulation(arm_of("so_arm100")), units="degrees")
+    keys = [f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")]
+    assert list(arm.action_features) == [*keys, "gripper.pos"]
+    arm.connect()
+    home = arm.robot.state.q
+    here = dict(zip(keys, np.degrees(home).tolist(), strict=True))
+    mujoco_joint = arm.robot.model.joint("Jaw")
+    angles = []
+    for opening in (0.0, 100.0, 50.0):
+        for _ in range(45):
+            assert arm.send_action({**here, "gripper.pos": opening})["gripper.pos"] == opening
+        assert arm.get_observation()["gripper.pos"] == pytest.approx(opening, abs=3.0)
+        angles.append(float(arm.robot.data.qpos[mujoco_joint.qposadr[0]]))
+    assert angles[0] < angles[2] < angles[1]
+    assert arm.robot.state.q == pytest.approx(home, abs=2e-2)
+    for wrong in (1000.0, -100.0, float("nan")):
+        with pytest.raises(armctl.InputError, match=r"gripper\.pos"):
+            arm.send_action({**here, "gripper.pos": wrong})
+    with pytest.raises(armctl.LimitError, match="units"):
+        arm.send_action(dict.fromkeys(keys, 9000.0))
+    arm.disconnect()

@@ -295,8 +295,8 @@ class JointTrajectory:
         """Reads a ROS message of type trajectory_msgs/JointTrajectory, for example of a motion that MoveIt planned.
 
         The motion passes through all points with their velocities and accelerations, and starts at the first one. What the
-        message does not contain is chosen such that velocity and acceleration are continuous. Nothing is checked against the
-        limits of the arm: `check_limits` does that.
+        message does not contain is chosen such that velocity and acceleration are continuous. The limits of the arm are checked
+        by `check_limits`; here, only positions far outside, such as degrees, are refused.
 
         Args:
             source: The file, .json or .yaml, or the message as a dict.
@@ -304,6 +304,7 @@ class JointTrajectory:
 
         Raises:
             InputError: The file cannot be read, it is no such message, or it is one for other joints.
+            LimitError: A position is half a turn (1 m) or more outside the limits.
             NotInstalledError: YAML needs the extra `ros`.
         """
         check_arm(arm)
@@ -314,6 +315,7 @@ class JointTrajectory:
                 f"{', '.join(arm.joint_names):.120}"
             )
         order = [points.joint_names.index(name) for name in arm.joint_names]
+        arm.check_units("message: positions", points.q[:, order], "messages of ROS have rad and m")
         pieces = ros.pieces(points)
         return JointTrajectory(pieces.knots, pieces.coefficients[:, :, order], arm.joint_names, arm.limits, units=arm.units)
 

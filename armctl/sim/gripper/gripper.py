@@ -138,6 +138,19 @@ class Gripper:
         reason = f"the pads stopped {1e3 * self.width:.3g} mm apart, {1e3 * width:.3g} mm were asked for"
         return self._result(False, held, force, begin, reason)
 
+    def command(self, width: float) -> None:
+        """Gives the gripper's own servo a distance of the pads and does not wait: the pads move while the arm does.
+
+        Args:
+            width: m.
+
+        Raises:
+            InputError: A width outside the gripper's range.
+        """
+        width = number("width", width, 0.0, self.width_max + 1e-6)
+        self._begin()
+        self._stepper.data.ctrl[self._ctrl] = self.model.ctrl_at(width)
+
     def close(self) -> GripResult:
         """Grasps with a gentle force: 10 N, or half of the gripper's largest force if that is less.
 
