@@ -758,6 +758,8 @@ class TickStatus(enum.Enum):
 
     not_finite = 2
 
+    repaired = 3
+
 class TickEnd:
     """How some ticks ended."""
 

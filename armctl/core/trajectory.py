@@ -90,8 +90,15 @@ class TickReference(NamedTuple):
 
 def check_trajectory(trajectory: object, what: str = "trajectory") -> None:
     """Raises InputError if an argument is not a trajectory."""
-    if not callable(trajectory) or not hasattr(trajectory, "duration") or not hasattr(trajectory, "sample"):
-        raise InputError(f"{what}: {shown(trajectory)} is not a trajectory; armctl.move_j(arm, arm.home, q) returns one")
+    if isinstance(trajectory, type):
+        raise InputError(f"{what}: {shown(trajectory)} is a class, not a trajectory; give an object of it")
+    lacking = [name for name in ("duration", "__call__", "sample") if not hasattr(trajectory, name)]
+    if lacking:
+        raise InputError(
+            f"{what}: {shown(trajectory)} is not a trajectory; armctl.move_j(arm, arm.home, q) returns one. It lacks "
+            f"{', '.join(lacking)}: one of your own has duration in s, and __call__(t) and sample(times), which return an "
+            "armctl.Setpoint(q, v, a)"
+        )
 
 
 def check_motion(trajectory: Any, joint_names: Sequence[str], *, what: str = "trajectory") -> None:

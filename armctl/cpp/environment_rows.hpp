@@ -112,7 +112,11 @@ public:
         auto work = [&] {
             for (size_t row = first; row < last; ++row) { step_row(row, workspace); }
         };
-        return guarded(*api_, work);
+        const std::string error = guarded(*api_, work);
+        if (error.empty() && has_repaired_any(first, last)) {
+            return "a position, velocity, acceleration or control was NaN or above 1e10, and MuJoCo repaired it";
+        }
+        return error;
     }
 
     // Moves target and reference, (n,) each, as a step does; the arms stay where they are.
@@ -123,6 +127,14 @@ public:
     }
 
 private:
+    // Whether MuJoCo repaired one of the simulations [first, last) in its episode.
+    bool has_repaired_any(size_t first, size_t last) const {
+        for (size_t row = first; row < last; ++row) {
+            if (has_repaired(api_->repairs, copies_[row].simulation.data)) { return true; }
+        }
+        return false;
+    }
+
     static std::vector<GripperActuator> gripper_of(const Arguments& given) {
         const size_t count = given.length("gripper_ctrl");
         const Integers ctrl = given.integers(count, "gripper_ctrl");

@@ -24,17 +24,43 @@ struct ContactLayout {
     size_t geoms = 0;   // offset of `geom` in mjContact
 };
 
+// Where mjData counts what MuJoCo repaired: `mjWarningStat.number` of mjWARN_BADQPOS, BADQVEL, BADQACC and BADCTRL, in bytes.
+struct RepairLayout {
+    size_t first = 0;   // offset of the first one in mjData
+    size_t stride = 0;  // size of an mjWarningStat
+};
+
+// A number of MuJoCo's struct at an offset.
+template <class Number>
+Number number_at(const void* address, size_t offset) {
+    Number number;
+    std::memcpy(static_cast<void*>(&number), static_cast<const std::byte*>(address) + offset, sizeof(Number));
+    return number;
+}
+
+// Whether MuJoCo found a position, velocity, acceleration or control that is NaN or huge since its last reset by the caller. It then
+// resets the simulation by itself, or sets all controls to zero.
+inline bool has_repaired(const RepairLayout& layout, const MujocoData* data) {
+    constexpr size_t kinds = 4;
+    for (size_t k = 0; k < kinds; ++k) {
+        if (number_at<std::int32_t>(data, layout.first + k * layout.stride) != 0) { return true; }
+    }
+    return false;
+}
+
 // MuJoCo's functions, with the signatures of mujoco.h and mjbatch.h.
 struct MujocoApi {
     // `empty` is for the batch in which functions are called; they work on other models. The arguments are the addresses of the
-    // functions, and the `ContactLayout` as contact_count and so on.
+    // functions, and the layouts as contact_count, repair_first and so on.
     MujocoApi(const MujocoModel* empty, const Arguments& given)
-        : empty_model(empty), contacts{
-                                  .count = given.count("contact_count"),
-                                  .array = given.count("contact_array"),
-                                  .stride = given.count("contact_stride"),
-                                  .geoms = given.count("contact_geoms"),
-                              } {
+        : empty_model(empty),
+          contacts{
+              .count = given.count("contact_count"),
+              .array = given.count("contact_array"),
+              .stride = given.count("contact_stride"),
+              .geoms = given.count("contact_geoms"),
+          },
+          repairs{.first = given.count("repair_first"), .stride = given.count("repair_stride")} {
         set(step, given, "step");
         set(rne_post_constraint, given, "rne_post_constraint");
         set(make_batch, given, "make_batch");
@@ -60,6 +86,7 @@ struct MujocoApi {
     const char* (*error)(const MujocoBatch*, int simulation) = nullptr;                                           // mjb_error
     const MujocoModel* empty_model;
     ContactLayout contacts;
+    RepairLayout repairs;
 
 private:
     // A function from its address.
@@ -110,14 +137,6 @@ public:
     }
 
 private:
-    // A number of MuJoCo's struct at an offset.
-    template <class Number>
-    static Number number_at(const void* address, size_t offset) {
-        Number number;
-        std::memcpy(static_cast<void*>(&number), static_cast<const std::byte*>(address) + offset, sizeof(Number));
-        return number;
-    }
-
     const ContactLayout& layout_;
     const std::byte* first_;
     size_t count_;

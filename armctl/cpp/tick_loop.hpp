@@ -15,7 +15,7 @@ struct ContactChange {
     std::string geoms;
 };
 
-enum class TickStatus : std::uint8_t { complete, diverged, not_finite };
+enum class TickStatus : std::uint8_t { complete, diverged, not_finite, repaired };
 
 struct TickEnd {
     TickStatus status = TickStatus::complete;
@@ -141,6 +141,10 @@ private:
             }
             drive(ticks, delay, row);
             for (size_t k = 0; k < substeps_; ++k) { api_->step(simulation_.model, simulation_.data); }
+            if (has_repaired(api_->repairs, simulation_.data)) {
+                end.status = TickStatus::repaired;
+                return;
+            }
             read_torques(motors_, simulation_, ticks.torque_rows.row(row));
             end.count = row + 1;
             note_contacts(row, touching, end);

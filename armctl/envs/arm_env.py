@@ -69,16 +69,18 @@ class ArmEnv(gymnasium.Env):
 
         Args:
             seed: What decides everything random from now on; None goes on with the old one.
-            options: Not used.
+            options: A dictionary with `goal`, (3,) m, or `start`, (n,) rad, or both; what is left out is drawn.
 
         Returns:
             The observation, and an empty dictionary.
 
         Raises:
-            InputError: The seed is not an integer of at least 0.
+            InputError: The seed is not an integer of at least 0, an option is not known, the tip cannot reach the goal, or the
+                goal of the task moves.
+            LimitError: A start outside the limits.
         """
         super().reset(seed=None if seed is None else integer("seed", seed, 0))
-        self.batch.reset((0,), (self.np_random,))
+        self.batch.reset((0,), (self.np_random,), options)
         observation = self.batch.observe()[0]
         self._show()
         return self._formed(observation), {}

@@ -9,15 +9,18 @@ from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
 from armctl.core.pose import matrix_from_quat
-from armctl.core.validation import Array, BoolArray, as_array, choice, flag, integer, shown
+from armctl.core.validation import Array, BoolArray, as_array, choice, flag, instance, integer, matrix, shown, vector
 from armctl.envs.actions import ACTION_MODES
 from armctl.envs.randomization import Randomization
 from armctl.envs.rows import Rows
 from armctl.envs.tasks import TASKS
 from armctl.envs.tasks.interface import ArmSource, Robot, Task
+from armctl.ik.solve import solve_ik
 from armctl.study.factors import Range
 
 REWARDS = ("dense", "sparse")
+_MAX_ACTION = 10.0  # a policy that is not trained exceeds 1; larger numbers have another unit
+OPTIONS = ("goal", "start")  # of `reset`
 _MIN_HORIZON = 50
 Observations = NDArray[np.float32]
 
@@ -148,12 +151,17 @@ class Batch:
         self.was_touched = np.zeros(count, bool)  # (count,) whether the obstacle was touched in this episode
         self.steps = np.zeros(count, np.int64)  # (count,) steps since the start of each episode
         self._goal_velocity = np.zeros((count, 3))
+        self._own_goal = np.zeros((count, 3))  # (count, 3) m, the goal that a caller set, ...
+        self._has_own_goal = np.zeros(count, bool)  # ... in these episodes
 
-    def reset(self, which: Iterable[int], rngs: Iterable[np.random.Generator]) -> None:
-        """Starts new episodes; everything of each is drawn from its generator."""
+    def reset(self, which: Iterable[int], rngs: Iterable[np.random.Generator], options: object = None) -> None:
+        """Starts new episodes; everything of each is drawn from its generator, except what the options of Gymnasium set."""
         chosen = []
+        goal, start = self._read(options)
         for row, rng in zip(which, rngs, strict=True):
             episode = self.task.draw(rng)
+            if start is not None:
+                episode = episode._replace(q=start[row])
             plant = self._randomization.draw_plant(rng)
             factors = self._randomization.draw_object(rng)
             self.rows.reset(row, episode, plant, factors, rng)
@@ -161,6 +169,9 @@ class Batch:
             if episode.obstacle is not None:
                 self.obstacle[row] = episode.obstacle
             chosen.append(row)
+        self._has_own_goal[chosen] = goal is not None
+        if goal is not None:
+            self._own_goal[chosen] = goal[chosen]
         self.steps[chosen] = 0
         self.was_touched[chosen] = False
         self.rows.find_tips(chosen)
@@ -173,6 +184,11 @@ class Batch:
             raise InputError(f"action: expected shape {self.rows.action.shape}, got {given.shape}")
         if given.dtype.kind not in "fiub" or np.isnan(given).any():
             raise InputError(f"action: expected numbers in [-1, 1], got {shown(actions)}")
+        if np.abs(given).max() > _MAX_ACTION:
+            raise InputError(
+                f"action: {np.abs(given).max():g} is far outside [-1, 1]; degrees? The numbers of an action are shares of the "
+                "range that its mode has, and those between 1 and 10 count as 1"
+            )
         self.rows.action[:] = given
         self.rows.step()
         self.steps += 1
@@ -224,8 +240,47 @@ class Batch:
         """(count,) which episodes have reached their last step."""
         return self.steps >= self.horizon
 
+    def _read(self, options: object) -> tuple[Array | None, Array | None]:
+        """The goals (count, 3) m and starts (count, n) rad that the options of `reset` set, each None if they do not."""
+        if options is None:
+            return None, None
+        instance("options", options, Mapping, '{"goal": [0.4, 0.1, 0.3]} is one')
+        assert isinstance(options, Mapping)
+        for name in options:
+            if name not in OPTIONS:
+                raise InputError(f"options: {shown(name)} is not known; expected {' or '.join(OPTIONS)}")
+        goal = None
+        if "goal" in options:
+            if self.task.moves_goal:
+                raise InputError(f"options: goal: that of {self.task.name} moves along a path; it cannot be set")
+            goal = self._of_each_row("options: goal", options["goal"], 3)
+            if not self.task.object:
+                self._require_reachable(goal)
+        start = None
+        if "start" in options:
+            start = self._of_each_row("options: start", options["start"], self.arm.n)
+            start = np.array([self.arm.checked("options: start", q) for q in start])
+        return goal, start
+
+    def _of_each_row(self, what: str, value: Any, size: int) -> Array:
+        """(count, size) numbers of an option, given for each episode or once for all."""
+        count = len(self.steps)
+        if as_array(what, value).ndim < 2:
+            return np.broadcast_to(vector(what, value, size), (count, size))
+        rows = matrix(what, value, size)
+        if len(rows) != count:
+            raise InputError(f"{what}: {len(rows)} rows given for {count} environments")
+        return rows
+
+    def _require_reachable(self, goals: Array) -> None:
+        for goal in np.unique(goals, axis=0):
+            found = solve_ik(self.arm, goal)
+            if not found.ok:
+                raise InputError(f"options: goal: {shown(goal.tolist())} m: {found.reason}")
+
     def _move_goals(self) -> None:
         self.goal[:] = self.task.goals_at(self.goal_number, self.steps)
+        np.copyto(self.goal, self._own_goal, where=self._has_own_goal[:, None])
         if self.task.moves_goal:
             ahead = self.task.goals_at(self.goal_number, self.steps + 1)
             np.divide(ahead - self.goal, self.step_time, out=self._goal_velocity)

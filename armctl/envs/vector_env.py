@@ -99,13 +99,14 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
 
         Args:
             seed: That of the first environment, the others follow; or one for each; None goes on with the old ones.
-            options: Not used.
+            options: As for `ArmEnv.reset`, for all environments, or a row for each. Episodes that begin after these are drawn.
 
         Returns:
             The observations, and an empty dictionary.
 
         Raises:
-            InputError: There are not as many seeds as environments, or one of them is not an integer of at least 0.
+            InputError: There are not as many seeds as environments, or one of them is not an integer of at least 0, or an
+                option is wrong, as for `ArmEnv.reset`.
         """
         seeds: Sequence[int | None]
         if seed is None or isinstance(seed, (int, np.integer)):
@@ -119,7 +120,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         for k, each in enumerate(seeds):
             if each is not None:
                 self._rngs[k] = np_random(integer("seed", each, 0))[0]
-        self.batch.reset(range(self.num_envs), self._rngs)
+        self.batch.reset(range(self.num_envs), self._rngs, options)
         return self._formed(self.batch.observe()), {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:

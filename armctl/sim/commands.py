@@ -100,7 +100,8 @@ class Commands:
         """Follows a trajectory that starts now. One that ends moving gives a warning, because its reference stops dead.
 
         Args:
-            trajectory: The motion; it starts where the arm is, or where its last reference ended.
+            trajectory: The motion; it starts where the arm is, or where its last reference ended. A trajectory of your own that
+                starts elsewhere, such as a step, gives a warning.
             dwell: s to hold its end.
 
         Returns:

@@ -17,6 +17,8 @@ from armctl.sim.wrench_sensor import WrenchSensor
 
 _MAX_TICKS = 20_000  # of one call, which an interrupt cannot end
 
+_CALLED = (_core.TickStatus.not_finite, _core.TickStatus.repaired)  # the law was called in the row that did not complete
+
 
 class CompiledLoop:
     """The compiled loop of one simulation."""
@@ -64,7 +66,7 @@ class CompiledLoop:
         end = _core.TickEnd(rows.count)
         while rows.count < last and end.status == _core.TickStatus.complete and not end.error:
             end = self._run_part(law, rows, arrays, min(last, rows.count + _MAX_TICKS), disturbances, used_sensor)
-        was_called = end.status == _core.TickStatus.not_finite
+        was_called = end.status in _CALLED
         controller.finish(self._data.time + (state.dt if was_called else 0.0))
         return end
 
@@ -101,8 +103,8 @@ class CompiledLoop:
         finally:  # an interrupt ends the call after its last tick
             rows.count = end.count
             rows.contacts += end.contacts
-            # The state is measured in a tick whose torque is not finite, too.
-            measured = end.count - first + (end.status == _core.TickStatus.not_finite)
+            # The state is measured in a tick that did not complete, too.
+            measured = end.count - first + (end.status in _CALLED)
             if disturbances is not None:
                 disturbances.took(measured)
             if sensor is not None:

@@ -37,9 +37,10 @@ def release_loading_memory() -> None:
 @cache
 def mujoco_api() -> _core.MujocoApi:
     """What the compiled core calls of MuJoCo. Threads that ask at the same time may get different objects."""
-    from armctl.sim.mujoco_structs import contact_layout
+    from armctl.sim.mujoco_structs import contact_layout, repair_layout
 
     contacts = contact_layout()
+    repairs = repair_layout()
     return _core.MujocoApi(
         step=_address_of("mj_step"),
         rne_post_constraint=_address_of("mj_rnePostConstraint"),
@@ -52,6 +53,8 @@ def mujoco_api() -> _core.MujocoApi:
         contact_array=contacts.array,
         contact_stride=contacts.stride,
         contact_geoms=contacts.geoms,
+        repair_first=repairs.first,
+        repair_stride=repairs.stride,
     )
 
 

@@ -1,4 +1,4 @@
-"""Where MuJoCo keeps contacts, from the fields of its structs that `mujoco.introspect` lists.
+"""Where MuJoCo keeps contacts and warnings, from the fields of its structs that `mujoco.introspect` lists.
 
 Import this only in a function that needs it, because the lists take long to load.
 """
@@ -32,6 +32,25 @@ class ContactLayout(NamedTuple):
     array: int  # offset of the pointer `contact` in mjData
     stride: int  # size of an mjContact
     geoms: int  # offset of `geom` in mjContact
+
+
+class RepairLayout(NamedTuple):
+    """Where MjData counts what MuJoCo repaired, in bytes: mjWARN_BADQPOS, BADQVEL, BADQACC and BADCTRL."""
+
+    first: int  # offset of the first count in mjData
+    stride: int  # size of an mjWarningStat
+
+
+@cache
+def repair_layout() -> RepairLayout:
+    """Where these counts are in this release; ModelError if MjData is not laid out as its structs are listed."""
+    contact_layout()
+    kinds = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL")]
+    if kinds != list(range(kinds[0], kinds[0] + 4)):
+        raise ModelError(f"mujoco {mujoco.__version__}: its warnings have another order; use the release armctl asks for")
+    stat = _struct("mjWarningStat")
+    stride = ctypes.sizeof(stat)
+    return RepairLayout(_struct("mjData").warning.offset + kinds[0] * stride + stat.number.offset, stride)
 
 
 @cache

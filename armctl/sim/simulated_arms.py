@@ -65,7 +65,7 @@ class SimulatedArms(ControlledArms):
             self._steps = None
 
     def run(self, trajectories: Mapping[str, Trajectory], dwell: float) -> dict[str, Log]:
-        """As every run. InputError for a motion that begins elsewhere, LimitError for one far outside the limits."""
+        """As every run. InputError for a planned motion that begins elsewhere, LimitError for one far outside the limits."""
         for tip, trajectory in trajectories.items():
             check_motion(trajectory, self.arms[tip].joint_names)
             self._check_start(tip, trajectory)
@@ -74,7 +74,7 @@ class SimulatedArms(ControlledArms):
         return super().run(trajectories, dwell)
 
     def _check_start(self, tip: str, trajectory: Trajectory) -> None:
-        """InputError if a motion begins neither where the arm is nor where its last reference ended, nor between them."""
+        """Compares the start of a motion with where the arm is, and where its last reference ended."""
         arm = self.arms[tip]
         joints = self._slices[tip]
         start = trajectory(0.0)
@@ -85,19 +85,21 @@ class SimulatedArms(ControlledArms):
         gap = _outside(q, here)
         if gap.max() > START_TOLERANCE:
             i = int(gap.argmax())
-            raise InputError(
+            _elsewhere(
+                trajectory,
                 f"trajectory: it begins with {arm.joint_names[i]} at {q[i]:.4g} {arm.units[i]}, {gap[i]:.2g} {arm.units[i]} "
                 f"from where the arm is, {here[0, i]:.4g} {arm.units[i]}; plan it from sim.state.q, call sim.reset(q=start) "
-                "before, or use armctl.simulate, which starts where the motion does"
+                "before, or use armctl.simulate, which starts where the motion does",
             )
         v = np.asarray(start.v, dtype=np.float64)
         speed = _outside(v, np.stack([state.v[joints], np.zeros(arm.n)]))
         over = speed > arm.limits.a_max * self.stepper.dt + START_SPEED_TOLERANCE
         if over.any():
             i = int(over.argmax())
-            raise InputError(
+            _elsewhere(
+                trajectory,
                 f"trajectory: it begins with {arm.joint_names[i]} moving at {v[i]:.4g} {arm.units[i]}/s, but the arm moves at "
-                f"{state.v[joints][i]:.4g} {arm.units[i]}/s; plan it from the arm's state, or use armctl.simulate"
+                f"{state.v[joints][i]:.4g} {arm.units[i]}/s; plan it from the arm's state, or use armctl.simulate",
             )
 
     def _check_end(self, tip: str, trajectory: JointTrajectory) -> None:
@@ -161,6 +163,13 @@ class SimulatedArms(ControlledArms):
         self._logs = {tip: steps.recorder.log(arm, info) for tip, arm in self.arms.items()}
         steps.logged = steps.recorder.size
         self._give_log(error)
+
+
+def _elsewhere(trajectory: Trajectory, sentence: str) -> None:
+    """Refuses a planned motion that begins elsewhere; a reference of the caller's own may be a step, and gets a warning."""
+    if isinstance(trajectory, JointTrajectory):
+        raise InputError(sentence)
+    warnings.warn(ArmctlWarning(sentence), stacklevel=5)
 
 
 def _outside(values: Array, ends: Array) -> Array:

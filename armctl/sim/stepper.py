@@ -26,6 +26,7 @@ from armctl.sim.disturbances import Disturbances
 from armctl.sim.drivetrain import Drivetrain, drivetrain_of, new_model, structure_of
 from armctl.sim.plant import DIVERGED_SPEED, Brake, Plant, apply_plant, held_dofs, steps_in_python
 from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
+from armctl.sim.repairs import has_repaired, repair, repair_counts
 from armctl.sim.wrench_sensor import WrenchSensor
 
 AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
@@ -122,6 +123,7 @@ class Stepper:
         """Takes a model, and where the joints and motors of the arms are in it."""
         self.model = model
         self.data = mujoco.MjData(model)
+        self._repairs = repair_counts(self.data)
         self.actuation = train.actuation
         self._train = train
         self._joints = self.actuation.qpos_adr if train.springs else _index(self.actuation.qpos_adr)
@@ -285,6 +287,8 @@ class Stepper:
                 self._run_compiled_ticks(controller, rows, last)
 
     def _run_compiled_ticks(self, controller: CompiledController, rows: TickRows, last: int) -> None:
+        begin = float(self.data.time)
+        done = rows.count
         end = self._compiled.run(controller, rows, last, self.state, self._disturbances, self._wrench_sensor)
         reached = rows.reference.q[end.row]
         self.q_ref = reached if np.isfinite(reached).all() else self.state.q
@@ -293,6 +297,8 @@ class Stepper:
             raise mujoco.FatalError(end.error)
         if end.status == _core.TickStatus.diverged:
             self._diverge(rows.v[end.row])
+        elif end.status == _core.TickStatus.repaired:
+            self._repaired(begin + (end.row - done) * self.dt)
         elif end.status == _core.TickStatus.not_finite:
             if self._disturbances is not None:
                 self._measurement = (np.array(end.q_seen), np.array(end.v_seen))
@@ -330,6 +336,7 @@ class Stepper:
         row = first
         count = rows.count
         foresee = getattr(controller, "foresee", None)
+        repairs = self._repairs
         try:
             for row, setpoint in enumerate(zip(*(column[first:last] for column in rows.reference), strict=True), first):
                 v_rows[row] = self._train.link_speeds(data.qvel) if qvel is None else qvel
@@ -365,7 +372,11 @@ class Stepper:
                     driven = command if disturbances is None else disturbances.driven(command, q, v)
                     data.ctrl[self._motors] = driven / self.actuation.gear
                     self._measurement = None
+                time = data.time
                 mj_step(model, data, substeps)
+                if has_repaired(repairs):
+                    self._repaired(time)
+                    break
                 torque_rows[row] = self.motor_torque if motor_torque is None else motor_torque
                 if data.ncon or touching:
                     before = touching
@@ -399,6 +410,11 @@ class Stepper:
         name = controller_name(controller)
         self.failure = f"the controller {name:.80}{whose} failed at {self.data.time:.3f} s: {cause}"
         return SimulationError(self.failure)
+
+    def _repaired(self, time: float) -> None:
+        """Ends a run in which MuJoCo found a number that is NaN or huge, since it then goes on from another state."""
+        self.diverged = True
+        self.failure = f"MuJoCo stopped at {time:.3f} s: {repair(self.model, self.data)}"
 
     def _diverge(self, v: Array) -> None:
         worst = int(np.argmax(np.abs(np.nan_to_num(v, nan=np.inf))))

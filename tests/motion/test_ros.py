@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import armctl
 from armctl import JointTrajectory
@@ -62,7 +63,10 @@ WRONG = {
         "point 0: positions: expected 3 numbers, got 1",
     ),
     "text": ({"joint_names": NAMES, "points": [POINT | {"positions": "abc"}]}, "is not an array of numbers"),
-    "no time": ({"joint_names": NAMES, "points": [{"positions": [0.0] * 3}]}, "expected a stamp with sec and nanosec"),
+    "no time": (
+        {"joint_names": NAMES, "points": [{"positions": [0.0] * 3}]},
+        "expected seconds, or a stamp with sec and nanosec",
+    ),
     "absurd": (
         {"joint_names": NAMES, "points": [POINT, LATER | {"positions": [0.0, -1e308, 0.0]}]},
         r"positions: a number is above 1e\+09",
@@ -100,3 +104,80 @@ def test_a_yaml_whose_aliases_stand_for_billions_of_numbers_is_refused(bundled, 
     path.write_text("\n".join([*lines, "joint_names: [a, b, c]", "points: [{positions: *a9}]"]))
     with pytest.raises(armctl.InputError, match="no YAML: it has an alias"):
         JointTrajectory.from_ros(path, bundled)
+
+
+def point(t: object, q: list[float], v: list[float] | None = None) -> dict:
+    return {"positions": q, "velocities": v or [], "time_from_start": t}
+
+
+TIMED = [point(0.0, [0.0, 0.0, 0.0]), point(0.5, [0.1, -0.2, 0.1]), point(1, [0.2, 0.1, 0.3])]
+STAMPS = [{"sec": 0, "nanosec": 0}, {"sec": 0, "nanosec": 500_000_000}, {"sec": 1, "nanosec": 0}]
+STAMPED = [{**p, "time_from_start": stamp} for p, stamp in zip(TIMED, STAMPS, strict=True)]
+LATE = [{**p, "time_from_start": 3.0 + p["time_from_start"]} for p in TIMED]
+WITH_FINGER = [{**p, "positions": [*p["positions"], t]} for t, p in enumerate(STAMPED)]
+ROBOT = {"joint_trajectory": {"joint_names": NAMES, "points": STAMPED}}
+MESSAGE = {"joint_names": NAMES, "points": STAMPED}
+FLOATING = {"joint_names": [], "points": []}
+AS_THEY_OCCUR = {
+    "times as numbers": {"joint_names": NAMES, "points": TIMED},
+    "a RobotTrajectory": {"joint_trajectory": MESSAGE, "multi_dof_joint_trajectory": FLOATING},
+    "a DisplayTrajectory": {
+        "model_id": "arm",
+        "trajectory": [ROBOT],
+        "trajectory_start": {"is_diff": 0},
+    },
+    "a goal of an action": {"goal": {"trajectory": MESSAGE, "goal_tolerance": []}},
+    "a service's response": {"motion_plan_response": {"trajectory": {"joint_trajectory": MESSAGE}, "error_code": {"val": 1}}},
+    "a doubled last point": {"joint_names": NAMES, "points": [*STAMPED, STAMPED[-1]]},
+    "a doubled first point": {"joint_names": NAMES, "points": [STAMPED[0], *STAMPED]},
+    "a gripper's joint that stands": {
+        "joint_names": ["finger", *NAMES],
+        "points": [{**p, "positions": [0.04, *p["positions"]]} for p in STAMPED],
+    },
+    "an offset of all times": {"joint_names": NAMES, "points": LATE},
+}
+
+
+@pytest.mark.parametrize("name", AS_THEY_OCCUR)
+def test_messages_as_they_occur_are_the_same_motion(bundled, name: str):
+    motion = armctl.JointTrajectory.from_ros(AS_THEY_OCCUR[name], bundled)
+    spline = CubicSpline([0.0, 0.5, 1.0], [p["positions"] for p in TIMED], bc_type="clamped")
+    times = np.linspace(0.0, 1.0, 41)
+    assert motion.duration == pytest.approx(1.0, abs=1e-12)
+    assert np.abs(motion.sample(times).q - spline(times)).max() <= 1e-12
+
+
+REFUSED = {
+    "a gripper's joint that moves": (
+        {"joint_names": [*NAMES, "finger"], "points": WITH_FINGER},
+        r"finger is no joint of the arm, and it moves by 2; remove it",
+    ),
+    "two trajectories": (
+        {"trajectory": [ROBOT, ROBOT]},
+        "it has 2 trajectories",
+    ),
+    "a floating base": (
+        {"joint_trajectory": MESSAGE, "multi_dof_joint_trajectory": {"joint_names": ["base"], "points": [{}]}},
+        "several degrees of freedom",
+    ),
+    "a prefix": ({"joint_names": [f"left_{name}" for name in NAMES], "points": STAMPED}, "remove the prefix 'left_'"),
+    "no times": ({"joint_names": NAMES, "points": [{**p, "time_from_start": 0} for p in STAMPED]}, "armctl.move_through"),
+    "two places at one time": (
+        {"joint_names": NAMES, "points": [*STAMPED, {**STAMPED[-1], "positions": [0.0, 0.0, 0.0]}]},
+        "point 3: its time_from_start, 1 s, is not after .* remove one of the two",
+    ),
+    "a time of bool": ({"joint_names": NAMES, "points": [{**STAMPED[0], "time_from_start": True}]}, "is not a number"),
+    "a time of NaN": ({"joint_names": NAMES, "points": [{**STAMPED[0], "time_from_start": float("nan")}]}, "finite"),
+    "degrees": (
+        {"joint_names": NAMES, "points": [STAMPED[0], {**STAMPED[1], "positions": [90.0, 0.0, -45.0]}]},
+        r"message: positions: .*: 90 rad is outside .*; degrees\? messages of ROS have rad",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_not_safe_is_refused_with_the_remedy(bundled, name: str):
+    content, sentence = REFUSED[name]
+    with pytest.raises(armctl.InputError, match=sentence) as caught:
+        armctl.JointTrajectory.from_ros(content, bundled)
+    assert len(str(caught.value)) <= 400

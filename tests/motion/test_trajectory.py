@@ -333,3 +333,28 @@ def test_random_positions_are_inside_any_range(low, high):
     q = limits.random(np.zeros(1), 100, np.random.default_rng(0))
     assert limits.contains(q)
     assert np.isfinite(q).all()
+
+
+class Named:
+    """A trajectory of a user's own with all members but some."""
+
+    duration = 1.0
+
+    def __call__(self, t):
+        return armctl.Setpoint(np.zeros(3), np.zeros(3), np.zeros(3))
+
+    def sample(self, times):
+        return armctl.Setpoint(*(np.zeros((len(times), 3)) for _ in range(3)))
+
+
+@pytest.mark.parametrize("lacking", [["duration"], ["__call__"], ["sample"], ["duration", "__call__"], ["__call__", "sample"]])
+def test_a_trajectory_class_is_told_what_it_lacks(bundled, lacking: list[str]):
+    members = {name: vars(Named)[name] for name in ("duration", "__call__", "sample") if name not in lacking}
+    own = type("Own", (), members)()
+    sentence = rf"is not a trajectory; .* It lacks {', '.join(lacking)}: one of your own has"
+    for call in (lambda: armctl.simulate(bundled, "pd", own), lambda: armctl.Simulation(bundled).run(own)):
+        with pytest.raises(armctl.InputError, match=sentence):
+            call()
+    with pytest.raises(armctl.InputError, match="is a class, not a trajectory"):
+        armctl.simulate(bundled, "pd", Named)
+    assert len(armctl.simulate(bundled, "pd", Named(), dwell=0.0))

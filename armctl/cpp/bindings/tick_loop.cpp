@@ -102,7 +102,8 @@ void bind_tick_end(nb::module_& module) {
     nb::enum_<TickStatus>(module, "TickStatus", "Why the ticks ended.")
         .value("complete", TickStatus::complete)
         .value("diverged", TickStatus::diverged)
-        .value("not_finite", TickStatus::not_finite);
+        .value("not_finite", TickStatus::not_finite)
+        .value("repaired", TickStatus::repaired);
     nb::class_<TickEnd>(module, "TickEnd", "How some ticks ended.")
         .def(nb::new_([](size_t row) { return TickEnd{.row = row, .count = row}; }), "row"_a,
              "An object for `TickLoop.run`, which begins at a row.")

@@ -299,8 +299,9 @@ class JointTrajectory:
         by `check_limits`; here, only positions far outside, such as degrees, are refused.
 
         Args:
-            source: The file, .json or .yaml, or the message as a dict.
-            arm: The arm; the order of the joints in the message is arbitrary.
+            source: The file, .json or .yaml, or the message as a dict; also a message around it, such as a RobotTrajectory.
+                Times may be numbers, in s. A point that repeats the one before is left out.
+            arm: The arm; the order of the joints in the message is arbitrary. Other joints in it must not move.
 
         Raises:
             InputError: The file cannot be read, it is no such message, or it is one for other joints.
@@ -309,12 +310,7 @@ class JointTrajectory:
         """
         check_arm(arm)
         points = ros.waypoints(source if isinstance(source, Mapping) else ros.load(source))
-        if set(points.joint_names) != set(arm.joint_names):
-            raise InputError(
-                f"message: it is for the joints {', '.join(points.joint_names):.120}, but the arm has "
-                f"{', '.join(arm.joint_names):.120}"
-            )
-        order = [points.joint_names.index(name) for name in arm.joint_names]
+        order = ros.joint_order(points, arm.joint_names)
         arm.check_units("message: positions", points.q[:, order], "messages of ROS have rad and m")
         pieces = ros.pieces(points)
         return JointTrajectory(pieces.knots, pieces.coefficients[:, :, order], arm.joint_names, arm.limits, units=arm.units)

@@ -12,10 +12,11 @@ import numpy as np
 from armctl.core.limits import Limits
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, BoolArray, frozen
-from armctl.motion.trajectory.piecewise import Pieces
+from armctl.motion.trajectory.piecewise import Pieces, sample
 
 RATIO_TOLERANCE = 1e-6  # relative, of velocity, acceleration and jerk
 POSITION_TOLERANCE = 1e-9  # rad (m); not relative, because a joint's stop does not grow with its range
+REST_SPEED = 1e-6  # rad/s; a slower end of a trajectory counts as at rest
 _ROOT_STEPS = 11  # of Newton's method between two turning points
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 _PER_TIME = ("", "/s", "/s^2", "/s^3")
@@ -72,10 +73,13 @@ class LimitCheck(Verdict):
     Attributes:
         ok: Whether it stays inside all of them.
         peaks: The extreme of each quantity and joint, four for each joint; quantities without a limit are left out.
+        ends_moving: Which joint moves fastest at the end, in words; empty if the motion ends at rest. The limits hold until
+            there; what follows must go on from that speed.
     """
 
     ok: bool
     peaks: tuple[Peak, ...]
+    ends_moving: str = ""
 
     @property
     def worst(self) -> Peak:
@@ -100,13 +104,17 @@ class LimitCheck(Verdict):
     def __str__(self) -> str:
         if not self.ok:
             return self.reason
-        return f"inside all limits; the largest share is {self.worst}" if self.peaks else "inside all limits: there are none"
+        inside = f"inside all limits; the largest share is {self.worst}" if self.peaks else "inside all limits: there are none"
+        return f"{inside}; it does not end at rest: {self.ends_moving}" if self.ends_moving else inside
 
 
 def check_limits(pieces: Pieces, limits: Limits, joint_names: tuple[str, ...], units: tuple[str, ...]) -> LimitCheck:
     """The extremes of piecewise polynomials compared with limits."""
     peaks = [peak for order in range(len(QUANTITIES)) for peak in _peaks(pieces, limits, order, joint_names, units)]
-    return LimitCheck(all(peak.ok for peak in peaks), tuple(peaks))
+    v = np.abs(sample(pieces, pieces.knots[-1:]).v[0])
+    i = int(v.argmax())
+    ends_moving = f"{joint_names[i]} moves at {v[i]:.3g} {units[i]}/s" if v[i] > REST_SPEED else ""
+    return LimitCheck(all(peak.ok for peak in peaks), tuple(peaks), ends_moving)
 
 
 def _peaks(pieces: Pieces, limits: Limits, order: int, joint_names: tuple[str, ...], units: tuple[str, ...]) -> Iterator[Peak]:

@@ -12,7 +12,7 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, BoolArray
-from armctl.motion.trajectory.limit_check import is_inside, stretch_needed
+from armctl.motion.trajectory.limit_check import REST_SPEED, is_inside, stretch_needed
 from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, joined, knots_of, locate, sample, shifted, time_scaled
 
 _DELAYS = 12  # start times of the deceleration that are tried
@@ -25,7 +25,6 @@ _RAMP = 0.2  # share of the deceleration in which its slope grows, and again in 
 _CUTS = 20  # pieces of a deceleration, at least
 _MIN_PIECE_S = 2e-5  # rounding decides the jerk of a shorter piece
 _JERK_MARGIN = 1.05  # a sample next to a knot is left out later, which moves a difference by less than this
-REST_SPEED = 1e-6  # rad/s; a slower end of a trajectory counts as at rest
 _SHORTEST_CUT_S = 1e-9  # an earlier piece that is cut to less than this is left out
 
 

@@ -1,8 +1,9 @@
 """Motions as ROS messages of type trajectory_msgs/JointTrajectory, in JSON and YAML files."""
 
 import json
+import numbers
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +18,9 @@ from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, standin
 ENDINGS = (".json", ".yaml", ".yml")
 _MAX_BYTES = 200_000_000
 _MAX_SECONDS = 1e6
+_MAX_NESTING = 4  # of messages around a trajectory
+_FLOATING = "multi_dof_joint_trajectory"
+_REPEATED = 1e-9  # rad, rad/s, ...: by which a repeated point, or a joint that stands, may differ
 _MAX_VALUE = 1e9  # SI units; more is a damaged number
 
 
@@ -71,9 +75,10 @@ def _yaml() -> Any:
 
 
 def waypoints(content: object) -> Waypoints:
-    """The points of a message; raises InputError for whatever is no JointTrajectory."""
-    names = content.get("joint_names") if isinstance(content, Mapping) else None
-    points = content.get("points") if isinstance(content, Mapping) else None
+    """The points of a message, or of the only one inside a message around it; InputError for whatever is no JointTrajectory."""
+    content = _unwrapped(content)
+    names = content.get("joint_names")
+    points = content.get("points")
     if not isinstance(names, Sequence) or isinstance(names, str) or not all(isinstance(name, str) for name in names):
         raise InputError("message: it is not a JointTrajectory, since it has no list of joint_names")
     if not isinstance(points, Sequence) or isinstance(points, str) or not points:
@@ -81,16 +86,83 @@ def waypoints(content: object) -> Waypoints:
     if len(set(names)) < len(names):
         raise InputError("message: joint_names: a name is given twice")
     times = np.array([_seconds(k, _entry(k, point, "time_from_start")) for k, point in enumerate(points)])
-    if (np.diff(times) <= 0.0).any():
-        k = int((np.diff(times) <= 0.0).argmax()) + 1
-        raise InputError(f"message: point {k}: its time_from_start, {times[k]:g} s, is not after that of the point before")
     table = {
         kind: [_entry(k, point, kind) for k, point in enumerate(points)]
         for kind in ("positions", "velocities", "accelerations")
     }
     v = _rates("velocities", table["velocities"], len(names))
     a = None if v is None else _rates("accelerations", table["accelerations"], len(names))
-    return Waypoints(tuple(names), times - times[0], _rows("positions", table["positions"], len(names)), v, a)
+    return _distinct(Waypoints(tuple(names), times, _rows("positions", table["positions"], len(names)), v, a))
+
+
+def _unwrapped(content: object) -> Mapping[str, Any]:
+    """The JointTrajectory in a RobotTrajectory, a DisplayTrajectory, a goal of an action, or another message with only one."""
+    found = list(_trajectories_in(content, _MAX_NESTING))
+    if len(found) > 1:
+        raise InputError(f"message: it has {len(found)} trajectories; give one of them, such as message['trajectory'][0]")
+    if not found:
+        raise InputError("message: it is not a JointTrajectory, since it has no list of joint_names")
+    return found[0]
+
+
+def _trajectories_in(content: object, depth: int) -> Iterator[Mapping[str, Any]]:
+    if isinstance(content, Mapping):
+        other = content.get(_FLOATING)
+        if isinstance(other, Mapping) and other.get("points"):
+            raise InputError(f"message: {_FLOATING}: it moves joints of several degrees of freedom, which an arm does not have")
+        if "joint_names" in content:
+            yield content
+        elif depth > 0:
+            for name, value in content.items():
+                if name != _FLOATING:
+                    yield from _trajectories_in(value, depth - 1)
+    elif depth > 0 and isinstance(content, Sequence) and not isinstance(content, str):
+        for value in content:
+            yield from _trajectories_in(value, depth - 1)
+
+
+def _distinct(points: Waypoints) -> Waypoints:
+    """The points without those that repeat the one before: same time, same place, same rates. InputError for other times."""
+    steps = np.diff(points.times)
+    if len(steps) and not points.times.any():
+        raise InputError("message: time_from_start is 0 in all points; armctl.move_through(arm, positions) chooses their times")
+    keep = np.ones(len(points.times), dtype=bool)
+    for k in np.flatnonzero(steps <= 0.0) + 1:
+        columns = [column for column in (points.q, points.v, points.a) if column is not None]
+        repeats = steps[k - 1] == 0.0 and all(np.abs(column[k] - column[k - 1]).max() <= _REPEATED for column in columns)
+        if not repeats:
+            raise InputError(
+                f"message: point {k}: its time_from_start, {points.times[k]:g} s, is not after that of the point before; "
+                "remove one of the two, or correct its time"
+            )
+        keep[k] = False
+    rates = [None if column is None else column[keep] for column in (points.v, points.a)]
+    return Waypoints(points.joint_names, points.times[keep] - points.times[0], points.q[keep], *rates)
+
+
+def joint_order(points: Waypoints, joint_names: Sequence[str]) -> list[int]:
+    """Where the joints of an arm are in a message. Others may be in it if they do not move, such as those of a gripper."""
+    given = points.joint_names
+    missing = [name for name in joint_names if name not in given]
+    if missing:
+        prefix = _common_prefix(given, joint_names)
+        remedy = f"; remove the prefix {prefix!r:.60} from its names" if prefix else ""
+        raise InputError(
+            f"message: it is for the joints {', '.join(given):.120}, but the arm has {', '.join(joint_names):.120}{remedy}"
+        )
+    for k, name in enumerate(given):
+        if name not in joint_names and np.ptp(points.q[:, k]) > _REPEATED:
+            raise InputError(
+                f"message: {name:.80} is no joint of the arm, and it moves by {np.ptp(points.q[:, k]):.3g}; remove it from "
+                "joint_names and from each point, and move it by itself, such as sim.gripper.move(width)"
+            )
+    return [given.index(name) for name in joint_names]
+
+
+def _common_prefix(given: Sequence[str], joint_names: Sequence[str]) -> str:
+    """What stands before the arm's names in all of those names that end with them; empty if they differ."""
+    prefixes = {name[: -len(own)] for own in joint_names for name in given if name.endswith(own) and len(name) > len(own)}
+    return prefixes.pop() if len(prefixes) == 1 else ""
 
 
 def pieces(points: Waypoints) -> Pieces:
@@ -143,7 +215,9 @@ def _rows(name: str, rows: list[Any], n: int) -> Array:
 
 def _seconds(k: int, stamp: object) -> float:
     what = f"message: point {k}: time_from_start"
+    if isinstance(stamp, numbers.Real):
+        return number(f"{what}: s", float(stamp) if not isinstance(stamp, bool) else stamp, 0.0, _MAX_SECONDS)
     if not isinstance(stamp, Mapping):
-        raise InputError(f"{what}: expected a stamp with sec and nanosec, got {shown(stamp)}")
+        raise InputError(f"{what}: expected seconds, or a stamp with sec and nanosec, got {shown(stamp)}")
     whole = number(f"{what}: sec", stamp.get("sec", stamp.get("secs", 0)), 0.0, _MAX_SECONDS)
     return whole + 1e-9 * integer(f"{what}: nanosec", stamp.get("nanosec", stamp.get("nsecs", 0)), 0, 999_999_999)
