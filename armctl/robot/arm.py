@@ -218,12 +218,15 @@ class Arm:
             raise LimitError(f"{what}: {self._outside(i, float(given[row, i]))}{question}")
 
     def unit_question(self, joint: int, excess: float, remedy: str = "") -> str:
-        """The question whether a position has another unit, to append to a sentence; empty if it is not far outside.
+        """The question whether a position has another unit, to append to a sentence.
 
         Args:
             joint: Its number.
             excess: rad (m) by which the position is outside the limits.
             remedy: As for `check_units`.
+
+        Returns:
+            The question; empty if the position is not far outside.
         """
         if not excess > self._far[joint]:
             return ""
