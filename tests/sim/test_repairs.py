@@ -33,7 +33,7 @@ def quiet_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT
 
 
-@pytest.mark.parametrize("value", [1e11, -3e12, 1e300])
+@pytest.mark.parametrize("value", [1e13, -3e14, 1e300])
 def test_a_control_that_mujoco_would_set_to_zero_ends_the_run(arm, quiet_folder, value):
     sim = armctl.Simulation(arm, Huge(arm, value, 0.05))
     sim.model.actuator_ctrllimited[:] = 0  # MuJoCo limits a control before it judges it
