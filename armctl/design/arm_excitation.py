@@ -124,8 +124,8 @@ def _from(
     found = 0
     reason = "every path that was tried touches something"
     for attempt in range(_TRIES):
-        waypoints = _waypoints(arm, start, count, _SIZES[attempt % len(_SIZES)], rng)
-        if checker.along(np.linspace(waypoints[:-1], waypoints[1:], _PATH_SAMPLES).reshape(-1, arm.n)):
+        waypoints = _clear(_waypoints(arm, start, count, _SIZES[attempt % len(_SIZES)], rng), checker)
+        if len(waypoints) < _MIN_CONFIGURATIONS + 2:
             continue
         try:
             fastest = move_through(arm, waypoints)
@@ -184,6 +184,24 @@ def _waypoints(arm: Arm, start: Array, count: int, size: float, rng: np.random.G
     margin = _LIMIT_MARGIN * (high - low)
     between = start + size * (rng.uniform(low + margin, high - margin, (count, arm.n)) - start)
     return np.vstack([start, between, start])
+
+
+def _clear(waypoints: Array, checker: CollisionChecker) -> Array:
+    """The waypoints without those that no straight way reaches from the one before; the first and the last stay.
+
+    A long motion has many, so that nearly every set as a whole would touch something.
+    """
+
+    def touches(a: Array, b: Array) -> bool:
+        return bool(checker.along(np.linspace(a, b, _PATH_SAMPLES)))
+
+    clear = [waypoints[0]]
+    for waypoint in waypoints[1:-1]:
+        if not touches(clear[-1], waypoint):
+            clear.append(waypoint)
+    while len(clear) > 1 and touches(clear[-1], waypoints[-1]):
+        clear.pop()
+    return np.vstack([*clear, waypoints[-1]])
 
 
 class _Scorer:

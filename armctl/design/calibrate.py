@@ -28,9 +28,9 @@ _MIN_POSES = 4
 _CONFIDENCE = 0.95
 _RANDOM_CONFIGURATIONS = 200
 _MAX_DISTANCE = np.pi  # rad (m) from home, of random configurations of joints without limits
-# Share of a column's length that other columns leave over. Below the first, no pose of the arm separates a parameter from
-# others. Below the second, the measured poses do not: 0.1 mm of noise would move it by 0.1 m or rad.
-_STRUCTURAL_TOLERANCE = 1e-6
+# Share of a column's length that other columns leave over. Below it, poses do not separate a parameter from others: 0.1 mm of
+# noise would move it by 0.1 m or rad. One value for all poses of the arm and for those that are measured, because the digits of
+# a file leave a share of 1e-6 where the exact geometry of the arm has none.
 _SEEN_TOLERANCE = 1e-3
 _MIN_SHARE = 1e-3  # of a parameter in a combination that is named
 _WEIGHTINGS = 4  # of positions and rotations by the noise that the fit before found
@@ -216,11 +216,9 @@ def calibrate_geometry(
     wanted = chain.select(DEFAULT_PARAMETERS[sensor] if parameters is None else parameters, read.rotation is None)
     if sensor != "world":
         chain.place_outer_frames(*_outer_frames(chain, q, read))
-    structural = identifiable(
-        chain, wanted, sample(arm, np.random.default_rng(0), _RANDOM_CONFIGURATIONS), read.rotation is None
-    )
+    structural = separable(chain, wanted, read.rotation is None)
     known = [wanted[i] for i in structural.kept]
-    seen = identifiable(chain, known, q, read.rotation is None, _SEEN_TOLERANCE)
+    seen = identifiable(chain, known, q, read.rotation is None)
     fitted = [known[i] for i in seen.kept]
     unseen = tuple(known[i].name for i in seen.dependent)
     before = _Fit(chain, [p for p in fitted if p.kind in ("sensor", "marker")], q, read)
@@ -281,22 +279,22 @@ def sample(arm: Arm, rng: np.random.Generator, count: int, share: float = 1.0) -
     return middle + share * (rng.uniform(low, high, (count, arm.n)) - middle)
 
 
-def identifiable(
-    chain: KinematicChain,
-    parameters: Sequence[Parameter],
-    q: Array,
-    positions_only: bool,
-    tolerance: float = _STRUCTURAL_TOLERANCE,
-) -> Columns:
+def separable(chain: KinematicChain, parameters: Sequence[Parameter], positions_only: bool) -> Columns:
+    """Which parameters any poses of the arm tell apart: those that random ones within its limits do."""
+    q = sample(chain.arm, np.random.default_rng(0), _RANDOM_CONFIGURATIONS)
+    return identifiable(chain, parameters, q, positions_only)
+
+
+def identifiable(chain: KinematicChain, parameters: Sequence[Parameter], q: Array, positions_only: bool) -> Columns:
     """Which parameters poses tell apart: a column of the Jacobian that earlier ones explain is in its null space with them."""
     J = np.concatenate(rows_of(chain, parameters, q, positions_only))
     lengths = np.linalg.norm(J, axis=0)
-    J = J / np.maximum(lengths, tolerance * lengths.max(initial=np.finfo(float).tiny))
+    J = J / np.maximum(lengths, _SEEN_TOLERANCE * lengths.max(initial=np.finfo(float).tiny))
     kept: list[int] = []
     dependent: dict[int, list[int]] = {}
     for i in range(len(parameters)):
         share = np.linalg.lstsq(J[:, kept], J[:, i])[0]
-        if np.linalg.norm(J[:, i] - J[:, kept] @ share) > tolerance:
+        if np.linalg.norm(J[:, i] - J[:, kept] @ share) > _SEEN_TOLERANCE:
             kept.append(i)
         else:
             dependent[i] = [kept[k] for k in np.flatnonzero(np.abs(share) > _MIN_SHARE)]

@@ -13,7 +13,7 @@ from armctl.core.errors import InputError, PlanError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, choice, flag, frozen, integer, number
 from armctl.design.arm_estimate import counted
-from armctl.design.calibrate import DEFAULT_PARAMETERS, SENSORS, identifiable, rows_of, sample
+from armctl.design.calibrate import DEFAULT_PARAMETERS, SENSORS, identifiable, rows_of, sample, separable
 from armctl.design.kinematic_parameters import KinematicChain
 from armctl.robot.arm import Arm, check_arm
 
@@ -95,19 +95,19 @@ def calibration_poses(
     rng = np.random.default_rng(integer("seed", seed, 0))
     chain = KinematicChain(arm, sensor == "hand")
     wanted = chain.select(DEFAULT_PARAMETERS[sensor] if parameters is None else parameters, positions_only)
-    known = [wanted[i] for i in identifiable(chain, wanted, sample(arm, rng, _CANDIDATES), positions_only).kept]
+    known = [wanted[i] for i in separable(chain, wanted, positions_only).kept]
     least = -(-len(known) // (3 if positions_only else 6)) + 1
     if count < least:
         raise InputError(f"count: {len(known)} parameters need at least {least} poses, got {count}")
     q = _candidates(arm, start, clearance, visible, rng, count)
-    dependent = identifiable(chain, known, q, positions_only).dependent
-    if dependent:
-        names = counted(tuple(known[i].name for i in dependent))
-        raise PlanError(f"{arm.name:.80}: no free poses that can be measured show {names}; leave them out")
     J = rows_of(chain, known, q, positions_only)
     lengths = np.linalg.norm(np.concatenate(J), axis=0)
     J = J / lengths
     chosen = _exchanged(J, count)
+    dependent = identifiable(chain, known, q[chosen], positions_only).dependent
+    if dependent:
+        names = counted(tuple(known[i].name for i in dependent))
+        raise PlanError(f"{arm.name:.80}: no {count} free poses that can be measured show {names}; leave them out")
     random_poses = np.mean([_log_information(J[first : first + count]) for first in range(0, len(J) - count + 1, count)])
     return CalibrationPoses(
         q=frozen(q[chosen]),

@@ -205,6 +205,25 @@ def test_chosen_poses_are_free_and_better_than_random_ones():
     assert (arm.fk_many(high.q)[0][:, 2] > 0.5).all()
 
 
+@pytest.mark.parametrize("parameters", [["offsets", "lengths"], ["offsets", "tool"], ["lengths"]])
+@pytest.mark.parametrize("positions_only", [True, False])
+def test_chosen_poses_show_what_a_calibration_fits_whatever_the_digits_of_a_file(tmp_path, parameters, positions_only):
+    """The axes of the second and the third joint are parallel but for 2e-5, as rounded numbers of a file are."""
+    serial_arm(tmp_path, BENT["six joints"])
+    path = tmp_path / "rounded.xml"
+    path.write_text((tmp_path / "serial.xml").read_text().replace('axis="0 1 0"', 'axis="0.00002 1 0"', 1))
+    arm = armctl.load(path)
+    poses = armctl.calibration_poses(arm, 30, parameters=parameters, positions_only=positions_only, seed=2)
+    assert poses.condition_number < 1e3
+    rng = np.random.default_rng(4)
+    position, rotation = arm.fk_many(poses.q)
+    position = position + rng.normal(scale=1e-5, size=position.shape)
+    measured = position if positions_only else [armctl.Pose(*row) for row in zip(position, rotation, strict=True)]
+    found = armctl.calibrate_geometry(arm, poses.q, measured, parameters=parameters)
+    assert not found.unseen
+    assert "do not show" not in found.reason
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
