@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import itertools
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,8 +32,10 @@ _MAX_BACKLASH = 10.0
 _MAX_BACKLASH_ERROR = 0.25  # in this unit: with a larger standard error a recording does not show it
 _SIGNIFICANT = 3.0  # standard errors of a backlash that is not taken for zero
 _MAX_DELAY_S = 0.25
-_START_DELAYS = np.linspace(0.0, 0.12, 7)
-_START_SCALES = (0.3, 1.0, 3.0)  # of the stiffness
+_START_DELAYS = (0.0, 0.015, 0.03, 0.06, 0.1)
+_START_SCALES = np.geomspace(1.0 / _RANGE, _RANGE, 9)  # of the stiffness of each joint
+_START_DAMPING_RATIOS = (0.3, 1.0, 3.0)
+_MAX_STARTS = 3
 # Of finite differences, in units of the fit. Rounding of friction's solver, divided by a shorter step, looks like information.
 _STEP = 0.05
 _MAX_EVALUATIONS = 25
@@ -40,7 +44,11 @@ _SETTLING_S = 0.3  # at the beginning, where the state of the arm is not known
 _BLOCK_S = 0.5  # over which residuals may be correlated
 _MIN_TRAVEL_RAD = 0.02
 _MIN_SECONDS = 3.0
-_MAX_JUDGE_RATIO = 2.0  # of the error at the judge over that at the recording
+_MIN_GAP_GAIN = 0.1  # share of a joint's sum of squares that its backlash explains, if it is kept
+_MAX_NOISE_RATIO = 2.5  # of an error over the noise of the positions, beside:
+_MAX_MODEL_ERROR = 0.01  # of the difference between command and position: what steps of the simulation are off
+_NOISE_ORDER = 6  # of the differences that show noise; of motions below a tenth of the sampling rate they leave nothing
+_AT_BOUND = 1e-3
 _MAX_UNEXPLAINED = 0.5  # of the difference between command and position along the judge
 
 
@@ -49,7 +57,8 @@ class ServoEstimate(IdentifiedArm):
     """Position servos, identified from positions. True if the second motion confirms them.
 
     Attributes:
-        ok: Whether the judge's positions are predicted, and better than with the parameters of the file.
+        ok: Whether the judge's positions are predicted to the noise of the measured positions, and better than with the
+            parameters of the file.
         reason: The reason if it is not ok; empty if it is.
         arm: The arm before.
         parameters: The identified parameters.
@@ -58,6 +67,7 @@ class ServoEstimate(IdentifiedArm):
         unseen: Names of parameters, such as "wrist armature", that the motion does not show. The least visible one has the
             file's value. Others may be known relative to it: without gravity, positions show ratios of parameters only.
         rms: (n,) rad, of measured minus simulated positions along the recording.
+        noise: (n,) rad, of the measured positions, from the step of their encoder and from what changes at every sample.
         judge_rms: (n,) rad, along the judge, which the fit did not use; NaN without a judge.
         judge_file_rms: (n,) rad, along the judge with the parameters of the file.
     """
@@ -70,6 +80,7 @@ class ServoEstimate(IdentifiedArm):
     file: ServoParameters
     unseen: tuple[str, ...]
     rms: Array
+    noise: Array
     judge_rms: Array
     judge_file_rms: Array
 
@@ -131,6 +142,8 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     Identification", 1999). A backlash that is not larger than three standard errors is zero.
     Masses of links are those of the file: gravity gives the torques their scale. Where it shows too little of it, the parameter
     with the largest error keeps the file's value. Damping of a joint has the effect of its servo's, so the file's stays.
+    The search starts from servos up to 100 times as stiff or soft as those of the file, each joint by itself. It tries further
+    starts while errors are above the noise of the positions, because then another minimum may be the right one.
 
     Args:
         recording: A log with commands in `q_ref` and measured positions in `q`, at least 3 s, better 30, from a rest.
@@ -139,7 +152,8 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
         source: The name or file that the arm was loaded from, for the gains to start with; the name of the arm if left out.
 
     Returns:
-        The estimate. It is not ok, with a reason, if the positions of the judge are not predicted.
+        The estimate. It is not ok, with a reason, if the positions of the judge are not predicted to 2.5 times their noise and,
+        beside it, 1 % of what they differ from the commands.
 
     Raises:
         InputError: A log has no commands, is too short or of other joints, or the source is not that of the arm.
@@ -150,45 +164,84 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     _check(arm, "judge", judge)
     if judge.q_ref.shape == recording.q_ref.shape and np.array_equal(judge.q_ref, recording.q_ref):
         raise InputError("judge: it has the same commands as the recording; give another motion")
-    fit = _Fit(arm, recording, _of_file(arm, source))
-    fit.search()
-    fit.solve()
-    fit.find_backlash()
+    file = _of_file(arm, source)
+    noise = np.maximum(_noise(recording.q), _noise(judge.q))
+    fit = _best_fit(arm, recording, file, _largest_errors(recording, noise))
     if fit.drop_unseen():
         fit.solve()
     found = fit.parameters(fit.z)
-    along = ServoSimulation(arm, judge.dt, bool(found.backlash.any())).positions([found, fit.file], judge) - judge.q
+    along = ServoSimulation(arm, judge.dt, bool(found.backlash.any())).positions([found, file], judge) - judge.q
     judged = np.sqrt(np.mean(along[:, round(_SETTLING_S / judge.dt) :] ** 2, axis=1))
-    rms = np.sqrt(np.mean(fit.residuals(fit.z) ** 2, axis=0))
-    lag = np.sqrt(np.mean((judge.q_ref - judge.q) ** 2, axis=0))
-    reason = _reason(arm, rms, lag, *judged)
+    rms = fit.rms()
+    reason = _reason(arm, judge, noise, *judged) or fit.at_bound()
     return ServoEstimate(
         ok=not reason,
         reason=reason,
         arm=arm,
         parameters=found,
         errors=fit.standard_errors(),
-        file=fit.file,
+        file=file,
         unseen=tuple(fit.names[i] for i in np.flatnonzero(fit.unseen)),
         rms=frozen(rms),
+        noise=frozen(noise),
         judge_rms=frozen(judged[0]),
         judge_file_rms=frozen(judged[1]),
     )
 
 
-def _reason(arm: Arm, rms: Array, lag: Array, judged: Array, by_file: Array) -> str:
+def _best_fit(arm: Arm, recording: Log, file: ServoParameters, largest: Array) -> _Fit:
+    """The best of local fits from several starts; the first whose errors are the noise needs no other beside it."""
+    fits: list[_Fit] = []
+    for start in _Fit(arm, recording, file).starts()[:_MAX_STARTS]:
+        fit = _Fit(arm, recording, file)
+        fit.z = start
+        fit.solve()
+        fits.append(fit)
+        if (fit.rms() <= largest).all():
+            break
+    best = min(fits, key=lambda each: float(np.sum(each.rms() ** 2)))
+    best.find_backlash()
+    return best
+
+
+def _noise(q: Array) -> Array:
+    """(n,) rad, the standard deviation of the noise of measured positions: of their rounding, or of high differences."""
+    values = np.diff(np.sort(q, axis=0), axis=0)
+    tiny = 1e-9 * np.ptp(q, axis=0)
+    step = np.min(np.where(values > tiny, values, np.inf), axis=0, initial=np.inf)
+    rounding = np.where(np.isfinite(step), step / math.sqrt(12.0), 0.0)
+    typical = np.median(np.abs(np.diff(q, _NOISE_ORDER, axis=0)), axis=0) / 0.6745  # of a normal distribution
+    return np.maximum(rounding, typical / math.sqrt(math.comb(2 * _NOISE_ORDER, _NOISE_ORDER)))
+
+
+def _lag(log: Log) -> Array:
+    """(n,) rad RMS, between command and position."""
+    return np.sqrt(np.mean((log.q_ref - log.q) ** 2, axis=0))
+
+
+def _largest_errors(log: Log, noise: Array) -> Array:
+    """(n,) rad RMS, with which positions count as predicted."""
+    return np.hypot(_MAX_NOISE_RATIO * noise, _MAX_MODEL_ERROR * _lag(log))
+
+
+def _reason(arm: Arm, judge: Log, noise: Array, judged: Array, by_file: Array) -> str:
     """What the judge says against the estimate; empty if nothing."""
-    worst = int((judged / np.maximum(rms, np.finfo(float).tiny)).argmax())
     if np.linalg.norm(judged) > np.linalg.norm(by_file):
         return f"the file predicts the judge better: {1e3 * by_file.max():.3g} mrad instead of {1e3 * judged.max():.3g}"
-    if np.linalg.norm(judged) > _MAX_UNEXPLAINED * np.linalg.norm(lag):
-        share = 100 * np.linalg.norm(judged) / np.linalg.norm(lag)
+    share = float(np.linalg.norm(judged) / np.linalg.norm(_lag(judge)))
+    if share > _MAX_UNEXPLAINED:
         return (
-            f"the error along the judge is {share:.0f} % of what positions differ from commands; check joints, units and limits"
+            f"the error along the judge is {100 * share:.0f} % of what positions differ from commands; "
+            "check joints, units and limits"
         )
-    if judged[worst] > _MAX_JUDGE_RATIO * rms[worst]:
-        errors = f"{1e3 * judged[worst]:.3g} mrad, along the recording {1e3 * rms[worst]:.3g}"
-        return f"{arm.joint_names[worst]:.60}: the error along the judge is {errors}; record a richer motion"
+    excess = judged / np.maximum(_largest_errors(judge, noise), np.finfo(float).tiny)
+    worst = int(excess.argmax())
+    if excess[worst] > 1.0:
+        errors = f"{1e3 * judged[worst]:.3g} mrad, the noise of its positions {1e3 * noise[worst]:.3g}"
+        return (
+            f"{arm.joint_names[worst]:.60}: the error along the judge is {errors}; record a richer motion, "
+            "or this arm has what the model leaves out, for which other parameters make up"
+        )
     return ""
 
 
@@ -283,18 +336,40 @@ class _Fit:
         """(T, n) rad, simulated minus measured."""
         return self._many([z])[0]
 
-    def search(self) -> None:
-        """Starts at the best of a grid of delays and stiffnesses."""
+    def rms(self) -> Array:
+        """(n,) rad, of the residuals."""
+        return np.sqrt(np.mean(self.residuals(self.z) ** 2, axis=0))
+
+    def starts(self) -> list[Array]:
+        """(p,) each, the best first: for each delay of a grid, each joint with the stiffness and damping that fit it best."""
         n = self._n
+        inertia = np.diag(self.arm.mass_matrix(self.arm.limits.clamp(self.arm.home)))
+        critical = 2.0 * np.sqrt(self.file.stiffness * inertia) / self.file.damping
         starts = []
         for delay in _START_DELAYS:
-            for scale in _START_SCALES:
+            same = []
+            for scale, ratio in itertools.product(_START_SCALES, _START_DAMPING_RATIOS):
                 z = self.z.copy()
                 z[-1] = delay / self._log.dt
                 z[n : 2 * n] = np.log(scale)
-                z[2 * n : 3 * n] = 0.5 * np.log(scale)  # the same damping ratio
-                starts.append(np.where(self.free, z, self._file_z))
-        self.z = starts[int(np.argmin((self._many(starts) ** 2).sum(axis=(1, 2))))]
+                z[2 * n : 3 * n] = np.log(ratio * np.sqrt(scale) * critical)
+                z = np.clip(z, self._low, self._high)
+                same.append(np.where(self.free, z, self._file_z))
+            best = (self._many(same) ** 2).sum(axis=1).argmin(axis=0)
+            z = same[0].copy()
+            for joint, row in enumerate(best):
+                z[joint:-1:n] = same[row][joint:-1:n]
+            starts.append(z)
+        costs = (self._many(starts) ** 2).sum(axis=(1, 2))
+        return [starts[i] for i in np.argsort(costs, kind="stable")]
+
+    def at_bound(self) -> str:
+        """The reason if a gain or a rotor inertia ended at a bound of the fit; empty if none did."""
+        shown = slice(0, 3 * self._n)
+        ends = np.minimum(self.z - self._low, self._high - self.z)[shown] < _AT_BOUND
+        for i in np.flatnonzero(ends & self.free[shown]):
+            return f"{self.names[i]:.80} is at a bound, {_RANGE:g} times or a {_RANGE:g}th of the file's; give a nearer file"
+        return ""
 
     def solve(self) -> None:
         from scipy.optimize import least_squares
@@ -324,6 +399,7 @@ class _Fit:
     def find_backlash(self) -> None:
         """Adds backlash to the fit, from the best of a grid for each joint, and keeps what is significant."""
         rigid = (self._simulation, self.z, self._J)
+        without = self.rms()
         try:
             self._simulation = ServoSimulation(self.arm, self._log.dt, True)
         except (InputError, ModelError):  # no rotors can be added, as to a compiled model
@@ -336,7 +412,8 @@ class _Fit:
         self.free[gaps] = ~self._still
         self.solve()
         self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
-        found = self.z[gaps] > _SIGNIFICANT * self._alone[gaps]
+        explains = self.rms() ** 2 < (1.0 - _MIN_GAP_GAIN) * without**2
+        found = explains & (self.z[gaps] > _SIGNIFICANT * self._alone[gaps])
         self._absent[gaps] = ~found & ~self._still & (self._alone[gaps] < _MAX_BACKLASH_ERROR)
         self.free[gaps] = found
         if not found.any():

@@ -218,7 +218,7 @@ def test_chosen_poses_show_what_a_calibration_fits_whatever_the_digits_of_a_file
     rng = np.random.default_rng(4)
     position, rotation = arm.fk_many(poses.q)
     position = position + rng.normal(scale=1e-5, size=position.shape)
-    measured = position if positions_only else [armctl.Pose(*row) for row in zip(position, rotation, strict=True)]
+    measured = position if positions_only else [armctl.Pose.from_rotation(*row) for row in zip(position, rotation, strict=True)]
     found = armctl.calibrate_geometry(arm, poses.q, measured, parameters=parameters)
     assert not found.unseen
     assert "do not show" not in found.reason

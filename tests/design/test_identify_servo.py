@@ -101,6 +101,35 @@ def test_parameters_are_those_of_the_real_servos(known):
     assert 0 < found.errors.delay < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "damping"),
+    [([500, 660], [7.0, 5.0]), ([0.9, 1.1], [0.1, 0.1]), ([500, 1.1], [7.0, 0.1]), ([17, 22], [7.0, 0.05])],
+    ids=["30 times softer than the file", "20 times stiffer", "one softer and one stiffer", "other damping ratios"],
+)
+def test_servos_are_found_from_files_with_others(tmp_path, stiffness, damping):
+    path = tmp_path / "others.xml"
+    path.write_text(text([0.01, 0.01], stiffness, damping, [0.02, 0.02]))
+    arm = armctl.load(path)
+    found = armctl.identify_servo(arm, recorded(arm, 1), judge=recorded(arm, 2), source=path)
+    assert found, found.reason
+    assert not found.parameters.backlash.any()
+    for name, true in TRUE.items():
+        assert getattr(found.parameters, name) == pytest.approx(true, rel=0.1), name
+    assert found.parameters.delay == pytest.approx(DELAY, rel=0.02)
+
+
+def test_an_error_above_the_noise_of_the_positions_is_not_ok(known, file):
+    """Gears that are not round add 4 mrad to both motions in the same way: neither the file nor the recording shows it."""
+    arm, exact = known
+    assert exact.noise == pytest.approx(COUNT / np.sqrt(12), rel=0.25)
+    logs = [recorded(arm, seed) for seed in (1, 2)]
+    logs = [replace(log, q=np.round((log.q + 0.004 * np.sin(12 * log.q)) / COUNT) * COUNT) for log in logs]
+    found = armctl.identify_servo(arm, logs[0], judge=logs[1], source=file)
+    assert not found
+    assert "the noise of its positions" in found.reason
+    assert found.judge_rms.max() > 2.5 * found.noise.max()
+
+
 def test_backlash_is_found_where_there_is_one(known, file):
     arm, without = known
     assert not without.parameters.backlash.any()
