@@ -96,7 +96,8 @@ def _tuned(
 ) -> tuple[list[Controller | str], list[str]]:
     """The controllers tuned to the delay margin on all plants, and a remark on each that keeps its default gains."""
     from armctl.core.progress import progress_bar
-    from armctl.design.tuning import LAWS, tune
+    from armctl.design.gain_family import LAWS
+    from armctl.design.tuning import tune
 
     delay_margin = common.one_number("delay_margin", args.delay_margin)
     controllers: list[Controller | str] = []

@@ -93,7 +93,7 @@ def _margins(loop: StateSpace, dt: float, has_gain: bool) -> LoopMargins:
         return LoopMargins(False, 0.0, 1.0, 1.0, 0.0, inf, radius, reason)
     frequencies = _frequencies(loop, dt, poles)
     transfer = loop.transfer(np.exp(1j * frequencies * dt))
-    eigenvalues = np.linalg.eigvals(transfer)
+    eigenvalues = _complex_eigenvalues(transfer)
     delay_margin = inf
     phase_margin = inf
     for crossing in _unit_crossings(loop, dt, frequencies, eigenvalues):
@@ -256,7 +256,7 @@ def _unit_crossings(loop: StateSpace, dt: float, frequencies: Array, eigenvalues
         at_low = np.where(is_low, value, 0.5 * at_low)
         low = np.where(is_low, middle, low)
         high = np.where(is_low, high, middle)
-    eigenvalues = np.linalg.eigvals(loop.transfer(np.exp(1j * np.exp(middle) * dt)))
+    eigenvalues = _complex_eigenvalues(loop.transfer(np.exp(1j * np.exp(middle) * dt)))
     nearest = np.abs(np.abs(eigenvalues) - 1.0).argmin(axis=1)
     return [_Crossing(float(w), complex(e)) for w, e in zip(np.exp(middle), eigenvalues[rows, nearest], strict=True)]
 
@@ -267,10 +267,10 @@ def _gain_margins(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: 
     Crossings at frequencies of zero and pi / dt, where the loop is real, belong to them.
     """
     ends = loop.transfer(np.array([-1.0 + 0.0j]))
-    found = [np.linalg.eigvals(ends).ravel()]
+    found = [_complex_eigenvalues(ends).ravel()]
     at_rest = _at_rest(loop)
     if at_rest is not None:
-        found.append(np.linalg.eigvals(at_rest))
+        found.append(_complex_eigenvalues(at_rest))
     found.append(_real_crossings(loop, dt, frequencies, eigenvalues))
     every = np.concatenate(found)
     is_real = (every.real < 0.0) & (np.abs(every.imag) < _REAL * np.abs(every.real))
@@ -338,4 +338,8 @@ def _followed(eigenvalues: ComplexArray) -> ComplexArray:
 
 
 def _closed_poles(loop: StateSpace) -> ComplexArray:
-    return np.linalg.eigvals(loop.A - loop.B @ loop.C).astype(np.complex128)
+    return _complex_eigenvalues(loop.A - loop.B @ loop.C)
+
+
+def _complex_eigenvalues(matrices: Array | ComplexArray) -> ComplexArray:
+    return np.asarray(np.linalg.eigvals(matrices), dtype=np.complex128)

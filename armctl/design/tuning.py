@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import product
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import CONTROLLERS, controller_by_name
-from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains, sample_configurations
-from armctl.control.impedance import IMPEDANCE_BANDWIDTH
+from armctl.control import controller_by_name
+from armctl.control.gains import sample_configurations
 from armctl.control.interface import Controller
-from armctl.control.lqr import LQR
-from armctl.control.observer_gains import feedback_estimate, observer_gains
 from armctl.control.pd import PD
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.result import Verdict
-from armctl.core.validation import Array, frozen, number, shown
+from armctl.core.validation import Array, number, shown
+from armctl.design.gain_family import LAWS, PD_LAWS, GainFamily, gain_family
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import MIN_DAMPING_RATIO, Loop, Mode, coarse_margins_around, coarse_margins_with, coarse_plant
 from armctl.design.margins import configurations, search_starts, worst_loops
@@ -29,6 +28,8 @@ from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import ENCODER_NOISE_RAD, NOMINAL, Plant, read_plant
 
 _COMPLIANCE_FREQUENCY = 2 * np.pi  # rad/s
+# Of the goal. At 1 Hz, a slow loop moves its inertia rather than its springs: what lasts for minutes decides there.
+_GOAL_FREQUENCIES = (1e-2 * _COMPLIANCE_FREQUENCY, 1e-1 * _COMPLIANCE_FREQUENCY, _COMPLIANCE_FREQUENCY)
 # Configurations of the design, of those for default gains: the extreme ones, and random ones for laws without inertia matrix.
 _DESIGN_POSES = 10
 _DESIGN_POSES_WITH_MODEL = 2
@@ -36,13 +37,16 @@ _DESIGN_POSES_WITH_MODEL = 2
 _RESERVE = 1.003
 _TOLERANCE = 0.001  # of the logarithms of the bounds, to which the design meets them
 _ROUNDS = 12  # of design and search for configurations that violate the bounds
+_EXACT_ROUNDS = 6  # after which each further round keeps more of a distance from the bounds, by this factor
+_MORE_RESERVE = 1.02
 _SCALES = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35, 4.0, 0.25, 8.0, 0.125, 16.0, 0.0625)  # of all gains, where a design may begin
 _BISECTIONS = 6  # to come back within the bounds
-_LIMITS = {"damping_ratio": np.log((0.5, 2.0))}  # logarithms, of laws with a model: their errors must not oscillate
-_GROWTH = {"damping_ratio": 0.0, "integral_time": -1.0}  # with the bandwidth, as exponents; all others grow in proportion
 _RATIOS = (1.0, 0.5, 0.25, 0.1)  # of the stiffness of PD and of the observer's bandwidth, there
 _ADDED = 6  # configurations in a round
 _ITERATIONS = 12
+_RESTARTS = 4  # of the search for the least displacement, and its logarithm that one must gain for another one
+_GAINED = 0.02
+_SPARE = 0.01  # of the logarithms of the bounds, with which a search for gains within them ends
 _ACCURACY = 1e-3  # of the logarithm of the displacement
 _DIFFERENCE = 1e-3  # of the logarithms of the gains
 _ACTIVE = 0.5  # constraints with more than this left have no slope
@@ -131,11 +135,11 @@ def tune(
 ) -> Tuning:
     """Finds the gains of a control law that yield least to disturbances while the loop satisfies bounds everywhere.
 
-    What is minimal is the root mean square of the displacements of the joints at 1 Hz, by disturbance torques in proportion to
-    the torque limits. All gains of the law are free: stiffness and damping of each joint of PD; bandwidths and damping ratio of
-    laws with a model; bandwidths and integral time of LQR. Sequential quadratic programming finds them for configurations of
-    the design. They are then judged like in `margins`, with its search for the worst configuration. Each configuration that
-    violates a bound becomes one of the design, which is repeated.
+    What is minimal is the root mean square of the displacements of the joints at 0.01, 0.1 and 1 Hz, by disturbance torques in
+    proportion to the torque limits. All gains of the law are free: stiffness and damping of each joint of PD; bandwidths and
+    damping ratio of laws with a model; bandwidths and integral time of LQR. Sequential quadratic programming finds them for
+    configurations of the design. They are then judged like in `margins`, with its search for the worst configuration. Each
+    configuration that violates a bound becomes one of the design, which is repeated.
 
     Args:
         law: The name of a controller whose gains can be tuned: all but "computed-torque-textbook".
@@ -169,15 +173,16 @@ def tune(
     periods = {arm.dt if plant.timestep is None else plant.timestep for plant in checked}
     if len(periods) > 1:
         raise InputError(f"plants: expected one control period, got {sorted(periods)} s; gains are tuned for one")
-    design_poses = _DESIGN_POSES if law in _PD_LAWS else _DESIGN_POSES_WITH_MODEL
+    design_poses = _DESIGN_POSES if law in PD_LAWS else _DESIGN_POSES_WITH_MODEL
     default = controller_by_name(law, arm)
     judge = _Judge([Linearizer(arm, plant) for plant in checked], poses, design_poses, bounds, default)
-    family = _family(arm, law, periods.pop())
+    family = gain_family(arm, law, periods.pop())
     before = judge.before
     x = judge.design.start(family)
     loops: list[Loop] = []
     worst: list[_Case] = []
-    for _ in range(_ROUNDS):
+    for k in range(_ROUNDS):
+        judge.design.bounds = replace(bounds, reserve=_RESERVE * _MORE_RESERVE ** max(0, k - _EXACT_ROUNDS + 1))
         x = None if x is None else judge.design.improved(family, x)
         if x is None:
             break
@@ -201,12 +206,13 @@ class _Bounds:
     delay_margin: float
     peak_sensitivity: float
     chatter: float
+    reserve: float = _RESERVE
 
     def left(self, found: CoarseMargins) -> Array:
         """(2, n) what is left of the bounds on delay margin and Ms, as logarithms."""
         with np.errstate(divide="ignore"):
-            delay = np.log(found.delay / (_RESERVE * self.delay_margin))
-            sensitivity = np.log(self.peak_sensitivity / (_RESERVE * found.peak_sensitivity))
+            delay = np.log(found.delay / (self.reserve * self.delay_margin))
+            sensitivity = np.log(self.peak_sensitivity / (self.reserve * found.peak_sensitivity))
         return np.clip([delay, sensitivity], _UNSTABLE, 1.0)
 
     def violating(self, loops: Sequence[Loop], coarse: Sequence[CoarseMargins]) -> list[Loop]:
@@ -218,75 +224,6 @@ class _Bounds:
             exact = [loop.robustness() for loop in loops]
             kept = [each.delay_margin >= self.delay_margin and each.peak_sensitivity <= self.peak_sensitivity for each in exact]
         return [loop for loop, is_kept in zip(loops, kept, strict=True) if not is_kept]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Family:
-    """The gains of a law as a function of x, the logarithms of factors on its default gains."""
-
-    size: int  # of x
-    joints: tuple[tuple[int, ...], ...]  # the elements of x that belong to each joint, or to all joints together
-    limits: Array  # (size, 2) bounds of x
-    softened: Sequence[int]  # the elements of x that may be smaller in a design's start
-    scaling: Array  # (size,) how all gains grow with the bandwidth: x for a factor f on it is log(f) x scaling
-    gains: Callable[[Array], dict[str, float | Array]]  # the arguments of the constructor at x
-    make: Callable[..., Controller]
-
-    def controller(self, x: Array) -> Controller:
-        return self.make(**self.gains(x))
-
-
-_PD_LAWS = ("pd", "pd-feedforward", "pd-gravity")
-_BANDWIDTH_LAWS = {
-    "computed-torque": DEFAULT_BANDWIDTH,
-    "operational-space": DEFAULT_BANDWIDTH,
-    "impedance": IMPEDANCE_BANDWIDTH,
-    "qp": DEFAULT_BANDWIDTH,
-    "mpc": DEFAULT_BANDWIDTH,
-}
-_OBSERVER_LAWS = ("computed-torque-observer", "computed-torque-learning")
-LAWS = (*_PD_LAWS, *_BANDWIDTH_LAWS, *_OBSERVER_LAWS, "lqr")
-
-
-def _family(arm: Arm, law: str, dt: float) -> _Family:
-    make: Callable[..., Controller] = CONTROLLERS[law]
-    if law in _PD_LAWS:
-        default = margin_gains(arm, dt)
-        n = arm.n
-
-        def pd(x: Array) -> dict[str, float | Array]:
-            return {
-                "stiffness": frozen(default.stiffness * np.exp(x[:n])),
-                "damping": frozen(default.damping * np.exp(x[n:])),
-            }
-
-        joints = tuple((i, n + i) for i in range(n))
-        free = np.tile([-np.inf, np.inf], (2 * n, 1))
-        return _Family(2 * n, joints, free, range(n), np.repeat([2.0, 1.0], n), pd, lambda **gains: make(arm, **gains))
-    defaults = _default_gains(arm, law, dt)
-
-    def scalars(x: Array) -> dict[str, float | Array]:
-        return {name: value * float(np.exp(each)) for (name, value), each in zip(defaults.items(), x, strict=True)}
-
-    indices = range(len(defaults))
-    limits = np.array([_LIMITS.get(name, (-np.inf, np.inf)) - np.log(value) for name, value in defaults.items()])
-    softened = [i for i, name in enumerate(defaults) if law in _OBSERVER_LAWS and name == "observer_bandwidth"]
-    growth = np.array([_GROWTH.get(name, 1.0) for name in defaults])
-    return _Family(len(defaults), (tuple(indices),), limits, softened, growth, scalars, lambda **gains: make(arm, **gains))
-
-
-def _default_gains(arm: Arm, law: str, dt: float) -> dict[str, float]:
-    """The gains of a law without gains for each joint."""
-    if law == "lqr":
-        return LQR(arm).effective_gains(dt)
-    if law in _OBSERVER_LAWS:
-        found = observer_gains(arm, dt)
-        return {"bandwidth": found.feedback, "damping_ratio": found.damping_ratio, "observer_bandwidth": found.disturbance}
-    bandwidth = _BANDWIDTH_LAWS[law]
-    gains = {"bandwidth": bandwidth, "damping_ratio": 1.0}
-    if law == "computed-torque":
-        gains["estimate_bandwidth"] = feedback_estimate(arm, dt, bandwidth)
-    return gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -315,27 +252,72 @@ class _Design:
     def __init__(self, arm: Arm, cases: list[_Case], bounds: _Bounds):
         self._arm = arm
         self.cases = cases
-        self._bounds = bounds
+        self.bounds = bounds
         self._bounds_per_case = 2 * arm.n
 
-    def start(self, family: _Family) -> Array | None:
-        """Gains within the bounds, near the default ones; None if there are none among multiples of those."""
+    def start(self, family: GainFamily) -> Array | None:
+        """Gains within the bounds, near multiples of the default ones; None if none are found."""
+        x = np.zeros(family.size)
+        if self._is_feasible(family.controller(x)):
+            return x
+        within: list[tuple[float, Array]] = []
+        beyond: list[tuple[tuple[float, float], Array]] = []
         for scale, ratio in product(_SCALES, _RATIOS):
             x = np.log(scale) * family.scaling
             x[list(family.softened)] += np.log(ratio)
-            if self._is_feasible(family.controller(x)):
-                return x
-        return None
+            left, cost = self._evaluated(family.controller(x))
+            if left.min() >= -_TOLERANCE:
+                within.append((cost, x))
+            elif left.min() > _UNSTABLE:
+                beyond.append(((float(left.min()), float(left.mean())), x))
+        if within:
+            return min(within, key=itemgetter(0))[1]
+        return self._feasible(family, max(beyond, key=itemgetter(0))[1]) if beyond else None
 
-    def improved(self, family: _Family, x: Array) -> Array | None:
-        """Least displacement within the bounds, from gains near them; None if no gains within them are found.
-
-        By sequential quadratic programming (Kraft, A software package for sequential quadratic programming, 1988).
-        """
+    def _feasible(self, family: GainFamily, x: Array) -> Array | None:
+        """The gains within the bounds that a search for the largest least distance from them meets first, or None."""
         from scipy.optimize import minimize
 
-        evaluated = lru_cache(1)(lambda key: self._evaluated(family.controller(np.frombuffer(key))))
-        slopes = lru_cache(1)(lambda key: self._slopes(family, np.frombuffer(key), *evaluated(key)))
+        evaluated, slopes = self._functions(family)
+        ones = np.ones((1, 1))
+        within = {
+            "type": "ineq",
+            "fun": lambda y: evaluated(y[:-1].tobytes())[0] - y[-1],
+            "jac": lambda y: np.hstack([slopes(y[:-1].tobytes())[0], -np.repeat(ones, len(evaluated(y[:-1].tobytes())[0]), 0)]),
+        }
+        found = minimize(
+            lambda y: -y[-1],
+            np.append(x, evaluated(x.tobytes())[0].min()),
+            jac=lambda y: -np.eye(len(y))[-1],
+            bounds=np.vstack([family.limits, [_UNSTABLE, _SPARE]]),
+            constraints=within,
+            method="SLSQP",
+            options={"maxiter": 2 * _ITERATIONS, "ftol": _ACCURACY},
+        )
+        return found.x[:-1] if self._is_feasible(family.controller(found.x[:-1])) else None
+
+    def improved(self, family: GainFamily, x: Array) -> Array | None:
+        """Least displacement within the bounds, from gains near them; None if no gains within them are found."""
+        best = None
+        least = np.inf
+        for _ in range(1 + _RESTARTS):
+            found = self._improved(family, x if best is None else best)
+            if found is None:
+                break
+            cost = self._evaluated(family.controller(found))[1]
+            gained = least - cost
+            if gained > 0.0:
+                best = found
+                least = cost
+            if gained < _GAINED:
+                break
+        return best
+
+    def _improved(self, family: GainFamily, x: Array) -> Array | None:
+        """By sequential quadratic programming (Kraft, A software package for sequential quadratic programming, 1988)."""
+        from scipy.optimize import minimize
+
+        evaluated, slopes = self._functions(family)
         within = {"type": "ineq", "fun": lambda x: evaluated(x.tobytes())[0], "jac": lambda x: slopes(x.tobytes())[0]}
         found = minimize(
             lambda x: evaluated(x.tobytes())[1],
@@ -348,10 +330,21 @@ class _Design:
         )
         return self._restored(family, found.x)
 
-    def _restored(self, family: _Family, x: Array) -> Array | None:
+    def _functions(
+        self, family: GainFamily
+    ) -> tuple[Callable[[bytes], tuple[Array, float]], Callable[[bytes], tuple[Array, Array]]]:
+        """`_evaluated` and `_slopes` of the bytes of x, each of which keeps its last result."""
+        evaluated = lru_cache(1)(lambda key: self._evaluated(family.controller(np.frombuffer(key))))
+        slopes = lru_cache(1)(lambda key: self._slopes(family, np.frombuffer(key), *evaluated(key)))
+        return evaluated, slopes
+
+    def _restored(self, family: GainFamily, x: Array) -> Array | None:
         """The gains, or the nearest ones within the bounds on the way to where a design begins; None if there are none."""
         if self._is_feasible(family.controller(x)):
             return x
+        near = self._feasible(family, x)
+        if near is not None:
+            return near
         within = self.start(family)
         if within is None:
             return None
@@ -366,13 +359,13 @@ class _Design:
     def _evaluated(self, controller: Controller) -> tuple[Array, float]:
         """What is left of the bounds, 2n of each case and one of noise; the logarithm of the displacement."""
         try:
-            left = [self._bounds.left(case.margins(controller)).ravel() for case in self.cases]
+            left = [self.bounds.left(case.margins(controller)).ravel() for case in self.cases]
             loops = [case.with_controller(controller) for case in self.cases[:_COST_CASES]]
             return np.append(np.concatenate(left), self._left_of_noise(loops[0])), self._cost(loops)
         except ModelError:  # gains so high that the torque of the impulses has no meaning
             return np.full(self._bounds_per_case * len(self.cases) + 1, _UNSTABLE), 0.0
 
-    def _slopes(self, family: _Family, x: Array, left: Array, cost: float) -> tuple[Array, Array]:
+    def _slopes(self, family: GainFamily, x: Array, left: Array, cost: float) -> tuple[Array, Array]:
         """How `left` (k, size) and the cost (size,) change with the gains; zero of bounds that are far."""
         controllers = [family.controller(x + step) for step in _DIFFERENCE * np.eye(family.size)]
         slopes = np.zeros((len(left), family.size))
@@ -383,20 +376,20 @@ class _Design:
                 continue
             loops = [case.with_controller(each) for each in controllers]
             near = coarse_margins_around(case.transfer, case.with_controller(family.controller(x)), loops)
-            slopes[rows] = np.array([self._bounds.left(each).ravel() - left[rows] for each in near]).T
+            slopes[rows] = np.array([self.bounds.left(each).ravel() - left[rows] for each in near]).T
             cost_loops += [loops] if k < _COST_CASES else []
         slopes[-1] = [self._left_of_noise(loop) - left[-1] for loop in cost_loops[0]]
         changes = np.array([self._cost(loops) - cost for loops in zip(*cost_loops, strict=True)])
         return slopes / _DIFFERENCE, changes / _DIFFERENCE
 
     def _left_of_noise(self, loop: Loop) -> float:
-        if not np.isfinite(self._bounds.chatter):
+        if not np.isfinite(self.bounds.chatter):
             return 1.0
-        return float(np.clip(np.log(self._bounds.chatter / (_RESERVE * torque_noise(loop))), _UNSTABLE, 1.0))
+        return float(np.clip(np.log(self.bounds.chatter / (self.bounds.reserve * torque_noise(loop))), _UNSTABLE, 1.0))
 
     def _cost(self, loops: Sequence[Loop]) -> float:
         """The logarithm of the displacement of the joints by torques in proportion to the limits."""
-        shares = [loop.joint_compliance([_COMPLIANCE_FREQUENCY])[0] * self._arm.limits.tau_max for loop in loops]
+        shares = [loop.joint_compliance(_GOAL_FREQUENCIES) * self._arm.limits.tau_max for loop in loops]
         return 0.5 * float(np.log(np.mean(np.abs(shares) ** 2)))
 
     def violated(self, controller: Controller) -> str:
@@ -407,7 +400,7 @@ class _Design:
         k = int(left.argmin())
         return "chatter" if k == len(left) - 1 else ("delay margin", "peak sensitivity")[k // self._arm.n % 2]
 
-    def active(self, family: _Family, x: Array) -> tuple[str, ...]:
+    def active(self, family: GainFamily, x: Array) -> tuple[str, ...]:
         found = []
         for indices in map(list, family.joints):
             raised = x.copy()

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from arms import arm_of
@@ -61,6 +62,65 @@ def test_bounds_that_no_gains_satisfy_are_a_result(arm):
     found = armctl.tune(arm, "pd", delay_margin=5.0, poses=2, plants=[PLANT])
     assert not found
     assert "no gains of pd satisfy" in str(found)
+
+
+def elevator(mass, damping, dt):
+    return armctl.load(
+        mujoco.MjSpec.from_string(f"""
+        <mujoco><option timestep="{dt}"/><worldbody><body>
+          <joint name="lift" type="slide" axis="0 0 1" range="0 2" damping="{damping}"/>
+          <inertial pos="0 0 0" mass="{mass}" diaginertia="0.1 0.1 0.1"/><site name="tool"/>
+        </body></worldbody><actuator><motor joint="lift" ctrlrange="-400 400"/></actuator></mujoco>"""),
+        tip="tool",
+    )
+
+
+def margins_of_elevator(kp, kd, mass, damping, dt, lag):
+    """Delay margin, s, and Ms of PD gains in MuJoCo's step, by a grid of frequencies; of an unstable loop zero and infinity."""
+    w = np.geomspace(1e-2, 0.999 * np.pi / dt, 4000)
+    z = np.exp(1j * w * dt)
+    pushed = dt / (mass + dt * damping) / (z - mass / (mass + dt * damping))
+    L = pushed * (kp * dt * z / (z - 1) + kd) * z**-lag
+    winding = np.unwrap(np.angle(L))
+    crossings = np.flatnonzero(np.diff(np.sign(np.abs(L) - 1)))
+    if len(crossings) != 1 or winding[crossings[0]] <= -np.pi:
+        return 0.0, np.inf
+    (i,) = crossings
+    return (np.pi + winding[i]) / w[i], np.abs(1 / (1 + L)).max()
+
+
+@pytest.mark.parametrize(
+    ("mass", "damping", "dt", "lag", "delay_margin"),
+    [(6.0, 8.0, 0.005, 10, 0.01), (6.0, 8.0, 0.005, 0, 0.06), (60.0, 0.0, 0.002, 0, 0.12), (3.0, 400.0, 0.004, 5, 0.02)],
+)
+def test_the_stiffness_of_an_elevator_is_the_highest_that_a_grid_of_gains_finds(mass, damping, dt, lag, delay_margin):
+    arm = elevator(mass, damping, dt)
+    found = armctl.tune(arm, "pd-gravity", delay_margin=delay_margin, poses=2, plants=[armctl.Plant(sensor_delay=lag)])
+    assert found, found.reason
+    kp = float(found.gains["stiffness"][0])
+    kd = float(found.gains["damping"][0])
+    margin, peak = margins_of_elevator(kp, kd, mass, damping, dt, lag)
+    assert margin >= 0.998 * delay_margin
+    assert peak <= 1.705
+    best = 0.0
+    for stiffness in np.geomspace(kp, 20 * kp, 40):
+        for rate in np.geomspace(1.0, 1000.0, 60):
+            margin, peak = margins_of_elevator(stiffness, stiffness / rate, mass, damping, dt, lag)
+            if margin >= delay_margin and peak <= 1.7:
+                best = stiffness
+    assert best <= 1.1 * kp
+
+
+@pytest.mark.parametrize("damping", [0.5, 20.0])
+def test_looser_bounds_never_give_worse_gains(tmp_path, damping):
+    arm = serial_arm(tmp_path, replace(BENT["planar"], joint=f'damping="{damping}"'))
+    compliance = []
+    for delay_margin in (0.003, 0.006, 0.012, 0.024, 0.04):
+        found = armctl.tune(arm, "pd-gravity", delay_margin=delay_margin, poses=2, plants=[PLANT])
+        assert found, found.reason
+        assert found.after.delay_margin >= delay_margin
+        compliance.append(found.after.compliance)
+    assert (np.diff(compliance) > -0.02 * np.array(compliance[1:])).all()
 
 
 @pytest.mark.parametrize(
