@@ -1,5 +1,7 @@
 """Gains from margins: the highest gains for which the loop tolerates a delay, in any configuration of the arm."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import pi, sin, sqrt, tan
@@ -7,11 +9,11 @@ from typing import cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.limits import smallest_configuration
-from armctl.core.validation import Array, frozen, number, vector
+from armctl.core.validation import Array, IntArray, frozen, number, vector
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
@@ -50,6 +52,16 @@ _BISECTIONS = 60
 # the design.
 _PD_STIFFNESS = 1 / (2 * (1 - sqrt(1 - 1 / _DESIGN_SENSITIVITY**2)))
 
+# A joint whose own damping is larger than that of its feedback takes more stiffness than one without: steps by these factors,
+# as long as margins computed with that damping keep the bounds; first at a few configurations, then less by a factor for all.
+_STIFFNESS_STEPS = (8.0, 2.0, 1.25, 1.1)
+_SEARCHED_CONFIGURATIONS = 12  # the last ones, which include the extreme ones
+_SEARCHED_FREQUENCIES = 30
+_LESS = 0.93
+_MIN_FREQUENCY = 0.5  # rad/s, of these margins
+_MAX_FREQUENCY = 0.99 * pi  # rad per control period
+_FREQUENCIES = 60
+
 MAX_BANDWIDTH = 1e6  # rad/s, and the bound of damping ratios: a thousand times what any control period can use
 
 
@@ -65,6 +77,7 @@ class SampledInertia:
 
 
 _sampled: WeakKeyDictionary[Arm, SampledInertia] = WeakKeyDictionary()
+_designed: WeakKeyDictionary[Arm, dict[tuple[float, float], FeedbackGains]] = WeakKeyDictionary()
 _extra: WeakKeyDictionary[Arm, dict[tuple[float, float, float], Array]] = WeakKeyDictionary()
 
 
@@ -194,7 +207,15 @@ def margin_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) 
     b for all joints, the loop consists of n independent ones, d (s + b) / s^2, where d is an eigenvalue of M^-1 D, and the
     sensitivity of a joint is a convex combination of theirs. The largest d of all configurations has the delay margin, the
     smallest the peak sensitivity. Damping in the model allows more stiffness. Where gravity needs more, the peak is higher.
+    Where a joint's own damping is the larger one, no loops are independent, and `_damped_stiffness` raises its stiffness.
     """
+    known = _designed.setdefault(arm, {})
+    if (dt, delay_margin) not in known:
+        known[dt, delay_margin] = _margin_gains(arm, dt, delay_margin)
+    return known[dt, delay_margin]
+
+
+def _margin_gains(arm: Arm, dt: float, delay_margin: float) -> FeedbackGains:
     sampled = sampled_inertia(arm)
     scale = _damping_scale(effective_inertia(arm), np.diagonal(sampled.mass, axis1=1, axis2=2))
     root = np.sqrt(scale)
@@ -210,12 +231,113 @@ def margin_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) 
     needed = np.minimum(_MIN_GRAVITY_RATIO * gravity, stiffest)
     excess = float(np.max(needed / np.maximum(allowed, np.finfo(float).tiny), initial=1.0))
     stiffness = np.maximum(allowed, needed)
+    if (sampled.damping > damping).any():
+        raised, keeps_peak = _damped_stiffness(sampled, stiffness, damping, dt, delay_margin)
+        if keeps_peak or excess <= MAX_GRAVITY_EXCESS:
+            return FeedbackGains(frozen(raised), frozen(damping), 1.0 if keeps_peak else excess)
     if excess > MAX_GRAVITY_EXCESS:
         if dt > _SHORT_PERIOD_S:
             return replace(margin_gains(arm, _SHORT_PERIOD_S, delay_margin), gravity_excess=excess)
         stiffness = np.maximum(stiffness, np.minimum(_FALLBACK_GRAVITY_RATIO * gravity, stiffest))
         stiffness = np.maximum(stiffness, _FALLBACK_STIFFNESS_PER_DAMPING * damping)
     return FeedbackGains(frozen(stiffness), frozen(damping), excess)
+
+
+def _damped_stiffness(
+    sampled: SampledInertia, stiffness: Array, damping: Array, dt: float, delay_margin: float
+) -> tuple[Array, bool]:
+    """(n,) N m/rad, and whether its peak sensitivity is that of the design.
+
+    The stiffness of joints whose own damping is larger than that of the feedback is raised up to the bounds: first of all of
+    them at once, then of each alone. Bounds that the given gains miss are those that these have.
+    """
+    heavy = np.flatnonzero(sampled.damping > damping)
+    peak, delay = pd_margins(sampled, stiffness, damping, dt)
+    max_peak = max(peak, _DESIGN_SENSITIVITY)
+    min_delay = min(delay, _DELAY_RESERVE * max(delay_margin, MIN_DELAY_MARGIN_PERIODS * dt))
+
+    def is_within(raised: Array, at: SampledInertia, frequencies: int) -> bool:
+        peak, delay = pd_margins(at, raised, damping, dt, frequencies)
+        return peak <= max_peak and delay >= min_delay
+
+    last = slice(-_SEARCHED_CONFIGURATIONS, None)
+    some = replace(
+        sampled, mass=sampled.mass[last], mobility=sampled.mobility[last], gravity_stiffness=sampled.gravity_stiffness[last]
+    )
+    found = stiffness
+    for joints in (heavy, *heavy[:, None]):
+        for step in _STIFFNESS_STEPS:
+            raised = _times(found, joints, step)
+            while is_within(raised, some, _SEARCHED_FREQUENCIES):
+                found = raised
+                raised = _times(found, joints, step)
+    while not is_within(found, sampled, _FREQUENCIES) and (found > stiffness).any():
+        found = np.maximum(_times(found, heavy, _LESS), stiffness)
+    return found, max_peak == _DESIGN_SENSITIVITY
+
+
+def _times(gains: Array, joints: IntArray, factor: float) -> Array:
+    scaled = gains.copy()
+    scaled[joints] *= factor
+    return scaled
+
+
+def pd_margins(
+    sampled: SampledInertia, stiffness: Array, damping: Array, dt: float, frequencies: int = _FREQUENCIES
+) -> tuple[float, float]:
+    """The largest sensitivity of a joint, the other joints closed, and the delay margin, s, under PD; 0 s if it is unstable.
+
+    With and without gravity compensation, in MuJoCo's steps, whose damping acts at the end of a step, at the samples.
+    """
+    n = len(stiffness)
+    w = np.geomspace(_MIN_FREQUENCY, _MAX_FREQUENCY / dt, frequencies)
+    rate = ((1 - np.exp(-1j * w * dt)) / dt)[:, None, None, None]  # of a velocity to its position
+    acceleration = rate * ((np.exp(1j * w * dt) - 1) / dt)[:, None, None, None]
+    own = np.diag(sampled.damping)
+    inertia = acceleration * (sampled.mass + dt * own) + rate * own
+    compliance = np.linalg.inv(inertia + sampled.gravity_stiffness)
+    pd = np.eye(n) * (stiffness + rate * damping)
+    peak = 0.0
+    delay = np.inf
+    for feedback in (pd, pd - sampled.gravity_stiffness):
+        loop = np.asarray(feedback @ compliance, dtype=np.complex128)
+        sensitivity = np.linalg.inv(np.eye(n) + loop)
+        peak = max(peak, float(np.abs(np.diagonal(sensitivity, axis1=2, axis2=3)).max()))
+        delay = min(delay, _delay_margin(w, loop))
+    return peak, delay if _is_stable(sampled, stiffness, damping, dt) else 0.0
+
+
+def _is_stable(sampled: SampledInertia, stiffness: Array, damping: Array, dt: float) -> bool:
+    """Whether PD with differenced positions holds all configurations, with gravity compensation and without."""
+    n = len(stiffness)
+    none = np.zeros_like(sampled.mass)
+    own = np.diag(sampled.damping)
+    mobility = np.linalg.inv(sampled.mass + dt * own)
+    for gravity in (sampled.gravity_stiffness, none):
+        # The states are positions, velocities, and the positions before.
+        by_position = -dt * mobility @ (np.diag(stiffness + damping / dt) + gravity)
+        by_velocity = np.eye(n) - dt * mobility @ own
+        by_past = mobility * damping
+        later = np.concatenate([by_position, by_velocity, by_past], axis=2)
+        here = np.hstack([np.eye(n), np.zeros((n, 2 * n))])
+        step = np.concatenate([here + dt * later, later, np.broadcast_to(here, later.shape)], axis=1)
+        if not np.abs(np.linalg.eigvals(step)).max() < 1.0:
+            return False
+    return True
+
+
+def _delay_margin(w: Array, loop: NDArray[np.complex128]) -> float:
+    """s, the smallest of loop transfer functions (k, configurations, n, n): where an eigenvalue has the magnitude 1."""
+    eigenvalues = np.linalg.eigvals(loop)
+    eigenvalues = np.take_along_axis(eigenvalues, np.abs(eigenvalues).argsort(axis=2), axis=2)
+    size = np.log(np.abs(eigenvalues))
+    k, configuration, rank = np.nonzero((size[1:] > 0.0) != (size[:-1] > 0.0))
+    before = size[k, configuration, rank]
+    share = before / (before - size[k + 1, configuration, rank])
+    start = np.angle(eigenvalues[k, configuration, rank])
+    turn = (np.angle(eigenvalues[k + 1, configuration, rank]) - start + pi) % (2 * pi) - pi
+    lag = (start + share * turn + pi) % (2 * pi)
+    return float(np.min(lag / (w[k] * (w[k + 1] / w[k]) ** share), initial=np.inf))
 
 
 def _gravity_stiffness(sampled: SampledInertia, damping: Array) -> Array:

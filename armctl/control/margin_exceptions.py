@@ -2,16 +2,20 @@
 
 import numpy as np
 
-from armctl.control.gains import MAX_GRAVITY_EXCESS, MAX_PEAK_SENSITIVITY, margin_gains, sample_configurations, sampled_inertia
+from armctl.control.gains import (
+    MAX_GRAVITY_EXCESS,
+    MAX_PEAK_SENSITIVITY,
+    margin_gains,
+    pd_margins,
+    sample_configurations,
+    sampled_inertia,
+)
 from armctl.control.impedance import Impedance
 from armctl.robot.arm import Arm
 
 _PERIODS_S = (0.001, 0.002, 0.004)
 # Gravity stiffness / stiffness. A loop that compensates gravity has this sensitivity at low frequency, and more where it peaks.
 _MAX_GRAVITY_RATIO = 0.5
-_MIN_FREQUENCY = 0.5  # rad/s
-_MAX_FREQUENCY = 0.99 * np.pi  # rad per control period
-_FREQUENCIES = 60
 
 
 def margin_exceptions(arm: Arm) -> tuple[str, ...]:
@@ -40,24 +44,9 @@ def margin_exceptions(arm: Arm) -> tuple[str, ...]:
 
 
 def _pd_peak_sensitivity(arm: Arm, dt: float) -> float:
-    """The largest sensitivity of a joint under the default PD, with and without gravity compensation, the other joints closed.
-
-    In MuJoCo's steps, whose damping acts at the end of a step, at sampled configurations.
-    """
+    """The largest sensitivity of a joint under the default PD: see `pd_margins`."""
     gains = margin_gains(arm, dt)
-    sampled = sampled_inertia(arm)
-    damping = np.diag(sampled.damping)
-    largest = 0.0
-    for w in np.geomspace(_MIN_FREQUENCY, _MAX_FREQUENCY / dt, _FREQUENCIES):
-        rate = (1 - np.exp(-1j * w * dt)) / dt  # of a velocity to its position
-        acceleration = rate * (np.exp(1j * w * dt) - 1) / dt
-        inertia = acceleration * (sampled.mass + dt * damping) + rate * damping
-        compliance = np.linalg.inv(inertia + sampled.gravity_stiffness)
-        pd = np.diag(gains.stiffness + rate * gains.damping)
-        for feedback in (pd, pd - sampled.gravity_stiffness):
-            sensitivity = np.linalg.inv(np.eye(arm.n) + feedback @ compliance)
-            largest = max(largest, float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max()))
-    return largest
+    return pd_margins(sampled_inertia(arm), gains.stiffness, gains.damping, dt)[0]
 
 
 def _impedance_gravity_ratio(arm: Arm) -> float:

@@ -416,3 +416,16 @@ def test_the_phase_margin_of_a_slow_loop_is_that_of_its_formula(bandwidth):
     L = (1 + 2j * x) / -(x**2) * np.exp(-1j * delay * x)
     assert found.peak_sensitivity == pytest.approx(np.abs(1 / (1 + L)).max(), rel=5e-3)
     assert found.peak_sensitivity > 1.0
+
+
+@pytest.mark.parametrize(("shape", "damping"), [("planar", 30.0), ("planar", 200.0), ("six joints", 30.0)])
+def test_default_pd_of_a_damped_arm_has_the_margins_and_twice_its_stiffness_has_not(shape, damping, tmp_path):
+    arm = serial_arm(tmp_path, replace(BENT[shape], joint=f'damping="{damping}"'))
+    fresh = arm.limits.random(arm.home, 25, np.random.default_rng(77))
+    for make in (armctl.PD, armctl.PDGravity):
+        law = make(arm)
+        found = armctl.margins(arm, law, fresh)
+        assert found.delay.value >= 5e-3
+        assert found.peak_sensitivity.value <= MAX_PEAK_SENSITIVITY
+        twice = armctl.margins(arm, make(arm, stiffness=2 * law.stiffness, damping=law.damping), fresh)
+        assert twice.delay.value < 5e-3 or twice.peak_sensitivity.value > MAX_PEAK_SENSITIVITY

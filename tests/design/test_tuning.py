@@ -51,11 +51,11 @@ def test_default_gains_that_violate_a_bound_are_raised_if_higher_ones_satisfy_it
     assert found.after.peak_sensitivity <= 3.0
 
 
-def test_pd_of_a_damped_arm_is_much_stiffer_than_by_default(tmp_path):
+def test_default_pd_of_a_damped_arm_is_nearly_as_stiff_as_the_tuned_one(tmp_path):
     arm = serial_arm(tmp_path, replace(BENT["planar"], joint='damping="60"'))
     found = armctl.tune(arm, "pd-gravity", poses=3, plants=[PLANT])
     assert found, found.reason
-    assert found.after.compliance < 0.2 * found.before.compliance
+    assert 0.3 * found.before.compliance < found.after.compliance < found.before.compliance
 
 
 def test_bounds_that_no_gains_satisfy_are_a_result(arm):
@@ -114,13 +114,16 @@ def test_the_stiffness_of_an_elevator_is_the_highest_that_a_grid_of_gains_finds(
 @pytest.mark.parametrize("damping", [0.5, 20.0])
 def test_looser_bounds_never_give_worse_gains(tmp_path, damping):
     arm = serial_arm(tmp_path, replace(BENT["planar"], joint=f'damping="{damping}"'))
-    compliance = []
+    frequencies = 2 * np.pi * np.array([0.01, 0.1, 1.0])
+    displacements = []
     for delay_margin in (0.003, 0.006, 0.012, 0.024, 0.04):
         found = armctl.tune(arm, "pd-gravity", delay_margin=delay_margin, poses=2, plants=[PLANT])
         assert found, found.reason
         assert found.after.delay_margin >= delay_margin
-        compliance.append(found.after.compliance)
-    assert (np.diff(compliance) > -0.02 * np.array(compliance[1:])).all()
+        loops = [armctl.linearize(arm, found.controller, [q, 0.5, -q], PLANT) for q in (-0.5, 0.2, 1.0)]
+        shares = [loop.joint_compliance(frequencies) * arm.limits.tau_max for loop in loops]
+        displacements.append(np.sqrt(np.mean(np.abs(shares) ** 2)))
+    assert (np.diff(displacements) > 0.0).all()
 
 
 @pytest.mark.parametrize(
