@@ -1,14 +1,16 @@
 """Checks of the arguments that every planner takes."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, LimitError
+from armctl.core.errors import InputError
+from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, vector
+from armctl.core.validation import vector
+from armctl.motion.timing.otg import JointState, unavoidable_bounds
 from armctl.robot.arm import Arm, check_arm
-
-_LIMIT_ROUNDING = 1e-9  # of a limit
 
 
 def planning_arm(arm: Arm, speed: float) -> Arm:
@@ -26,31 +28,22 @@ def planning_arm(arm: Arm, speed: float) -> Arm:
 def start_state(arm: Arm, q_start: ArrayLike | Setpoint) -> Setpoint:
     """A caller's start: at rest at joint positions, or in motion if it is a setpoint.
 
-    LimitError outside the limits, also if the acceleration would take a joint beyond its greatest speed.
+    LimitError if its positions are outside the limits. Velocity and acceleration may be beyond theirs, as measured ones are
+    or after the limits have fallen: a motion first brakes into the limits.
     """
     if not isinstance(q_start, Setpoint):
         zero = np.zeros(arm.n)
         return Setpoint(arm.checked("q_start", q_start), zero, zero)
     q = arm.checked("q_start", q_start.q)
-    v = vector("q_start.v", q_start.v, arm.n)
-    a = vector("q_start.a", q_start.a, arm.n)
-    limits = arm.limits
-    _require_within(arm, "q_start.v", v, limits.v_max, "/s")
-    _require_within(arm, "q_start.a", a, limits.a_max, "/s^2")
-    later = np.abs(v + a * np.abs(a) / (2 * limits.j_max))
-    over = later > limits.v_max * (1 + _LIMIT_ROUNDING)
-    if over.any():
-        i = int(over.argmax())
-        raise LimitError(
-            f"q_start.v: {arm.joint_names[i]}: with this acceleration its speed comes to {later[i]:g} {arm.units[i]}/s, "
-            f"more than its limit {limits.v_max[i]:g} {arm.units[i]}/s; start slower"
-        )
-    return Setpoint(q, v, a)
+    return Setpoint(q, vector("q_start.v", q_start.v, arm.n), vector("q_start.a", q_start.a, arm.n))
 
 
-def _require_within(arm: Arm, what: str, values: Array, bounds: Array, per: str) -> None:
-    over = np.abs(values) > bounds * (1 + _LIMIT_ROUNDING)
-    if over.any():
-        i = int(over.argmax())
-        unit = arm.units[i] + per
-        raise LimitError(f"{what}: {arm.joint_names[i]}: {values[i]:g} {unit} is outside +-{bounds[i]:g} {unit}")
+def limits_from(limits: Limits, start: Setpoint) -> Limits:
+    """Limits that a motion from a start can keep: where the start leads beyond one, the least excess.
+
+    While the motion brakes into the limits, these are what it is judged by.
+    """
+    v_max, a_max, _ = unavoidable_bounds((limits.v_max, limits.a_max, limits.j_max), JointState(start.q, start.v, start.a))
+    if (v_max == limits.v_max).all() and (a_max == limits.a_max).all():
+        return limits
+    return replace(limits, v_max=v_max, a_max=a_max)

@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError
+from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, flag
-from armctl.motion.checks import planning_arm, start_state
+from armctl.motion.checks import limits_from, planning_arm, start_state
 from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, solve_pieces
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE, piece_extremes
 from armctl.motion.trajectory.piecewise import Pieces, standing
 from armctl.robot.arm import Arm
 
@@ -29,6 +31,7 @@ def move_j(
 
     Args:
         q_start: (n,) rad, inside the limits; or a setpoint, if it starts while the arm moves, along the line if it is straight.
+            A velocity or acceleration beyond its limit is first reduced to the limit as fast as the others allow.
         q_goal: (n,) rad, inside the limits.
         speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
         straight: Whether the path is a straight line in joint space. Otherwise each joint moves independently in the time
@@ -36,7 +39,7 @@ def move_j(
 
     Raises:
         InputError: A wrong length, a number that is not finite, or a setpoint that leads off the line.
-        LimitError: A start or goal outside the limits, or a start so fast that the motion would leave them.
+        LimitError: A start or goal outside the position limits, or a start so fast that the motion would leave them.
         PlanError: A motor cannot hold the arm at some point of the path.
     """
     planning = planning_arm(arm, speed)
@@ -45,12 +48,17 @@ def move_j(
     if flag("straight", straight):
         pieces = _line(planning, start, goal)
     else:
-        pieces = solve_pieces(ProfileSolver.of(planning.limits), JointState(start.q, start.v, start.a), at_rest(goal))
+        pieces = _each_joint(planning.limits, start, goal)
     motion = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
     is_moving = start.v.any() or start.a.any()
-    if is_moving and not (check := motion.check_limits()).ok:
+    if is_moving and not (check := motion.check_limits(limits_from(arm.limits, start))).ok:
         raise LimitError(f"q_start: {check.violations[0]}; start slower, or stop before")
     return within_torque(arm, motion)
+
+
+def _each_joint(limits: Limits, start: Setpoint, goal: Array) -> Pieces:
+    """The pieces of the fastest motion in which each joint moves by itself and all arrive together."""
+    return solve_pieces(ProfileSolver.of(limits), JointState(start.q, start.v, start.a), at_rest(goal))
 
 
 def _line(arm: Arm, start: Setpoint, goal: Array) -> Pieces:
@@ -65,7 +73,12 @@ def _line(arm: Arm, start: Setpoint, goal: Array) -> Pieces:
     acceleration = _along(start.a, direction)
     velocity_off_line = np.abs(start.v - speed * direction).max() / limits.v_max.min()
     acceleration_off_line = np.abs(start.a - acceleration * direction).max() / limits.a_max.min()
-    if max(velocity_off_line, acceleration_off_line) > _MAX_OFF_LINE:
+    if length == 0.0 or max(velocity_off_line, acceleration_off_line) > _MAX_OFF_LINE:
+        # The direction of a way of a few roundings is no direction. So short a motion is straight however the joints move.
+        pieces = _each_joint(limits, start, goal)
+        off_goal = piece_extremes(pieces.coefficients, np.diff(pieces.knots), 0)[1] - goal[:, None]
+        if np.abs(off_goal).max() <= POSITION_TOLERANCE:
+            return pieces
         raise InputError("q_start: its motion leads off the straight line to q_goal; plan with straight=False")
     with np.errstate(divide="ignore"):
         v_max = np.array([(limits.v_max / np.abs(direction)).min()])

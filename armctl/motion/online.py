@@ -33,11 +33,12 @@ class OnlineMotion:
         """A motion that starts at the state of the arm; without a goal it decelerates to rest.
 
         Args:
-            q_start: (n,) rad, inside the limits; or a setpoint, whose motion it continues.
+            q_start: (n,) rad, inside the limits; or a setpoint, whose motion it continues. A velocity or acceleration beyond
+                its limit is first reduced to the limit as fast as the others allow.
 
         Raises:
             InputError: A wrong length or a number that is not finite.
-            LimitError: A start outside the limits, or so fast that no stop inside them is possible.
+            LimitError: A start outside the position limits, or so fast that no stop inside them is possible.
         """
         planning_arm(arm, 1.0)
         limits = arm.limits
@@ -51,9 +52,10 @@ class OnlineMotion:
         self._t = 0.0
         self._start = JointState(start.q.tolist(), start.v.tolist(), start.a.tolist())
         self._goal: Array | None = None
-        self._brake()
-        if not self._profile.stays_inside(self._q_min_loose, self._q_max_loose):
+        profile = self._solver.stop(self._start)
+        if profile is None or not profile.stays_inside(self._q_min_loose, self._q_max_loose):
             raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
+        self._profile = profile
 
     @property
     def goal(self) -> Array | None:

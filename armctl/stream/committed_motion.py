@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
+from armctl.motion.checks import limits_from
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.motion.torque_limits import InverseDynamics
 from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE, each_inside, is_inside
@@ -144,8 +146,9 @@ class CommittedMotion:
         return profile if profile is not None and profile.stays_inside(self._q_min, self._q_max) else None
 
     def _is_feasible(self, pieces: Pieces) -> bool:
-        """Whether a motion keeps all limits. A slower stop may come too late for the velocity limits of a fast arm."""
-        return is_inside(pieces, self._limits) and self._has_torque(pieces)
+        """Whether a motion keeps all limits that its start allows. A slower stop may come too late for those of a fast arm."""
+        start = Setpoint(*(x[0] for x in sample(pieces, np.zeros(1))))
+        return is_inside(pieces, limits_from(self._limits, start)) and self._has_torque(pieces)
 
     def _has_torque(self, pieces: Pieces) -> bool:
         """Whether the motors can follow, at the knots, where accelerations are extreme, and between them."""

@@ -97,7 +97,8 @@ class Stream:
         """A stream whose time begins at 0.
 
         Args:
-            q_start: (n,) rad, inside the limits; or a setpoint, from which the arm comes to rest.
+            q_start: (n,) rad, inside the limits; or a setpoint, from which the arm comes to rest. A velocity or acceleration
+                beyond its limit is first reduced to the limit as fast as the others allow.
             speed: Factor on the limits, in (0, 1].
             avoid: Whether each motion is proved free of contact with the scene as it is at home before it is taken.
             refusal: Why a motion, given as polynomials from now on, may not be made; empty if it may. Where a motion is
@@ -106,7 +107,7 @@ class Stream:
         Raises:
             InputError: A wrong length or type, a number that is not finite, or an arm without limits on velocity,
                 acceleration or jerk.
-            LimitError: A start outside the limits, or so fast that no stop inside them is possible.
+            LimitError: A start outside the position limits, or so fast that no stop inside them is possible.
         """
         self._arm = planning_arm(arm, number("speed", speed, 1e-3, 1.0))
         start = start_state(self._arm, q_start)

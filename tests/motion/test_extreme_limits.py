@@ -153,13 +153,12 @@ def test_the_closed_form_from_rest_to_rest_is_as_fast_as_ruckig():
 
 
 def test_a_code_that_the_binding_of_ruckig_does_not_know_is_no_solution(monkeypatch):
-    solver = ProfileSolver(*np.ones((3, 1)))
-
     class Unknown:
         def calculate(self, *_):
             raise ValueError("-101 is not a valid Result.")
 
-    monkeypatch.setattr(solver, "_ruckig", Unknown())
+    monkeypatch.setattr("ruckig.Ruckig", lambda _: Unknown())
+    solver = ProfileSolver(*np.ones((3, 1)))
     zero = np.zeros(1)
     assert solver.solve(at_rest(zero), at_rest(zero + 1)) is None
     assert isinstance(solve_pieces(solver, at_rest(zero), at_rest(zero + 1)), Pieces)

@@ -310,7 +310,7 @@ def test_a_start_that_cannot_be_kept_is_refused():
             armctl.move_j(arm, off_line, arm.home)
     with pytest.raises(armctl.LimitError, match=r"q_start: shoulder_yaw: position .* limit"):
         armctl.move_j(arm, start([1.0, 0.0, 0.0]), arm.home, straight=False)
-    with pytest.raises(armctl.LimitError, match=r"q_start.v: shoulder_yaw: 99 rad/s is outside"):
+    with pytest.raises(armctl.LimitError, match=r"q_start: shoulder_yaw: position .* limit"):
         armctl.move_j(arm, start([99.0, 0.0, 0.0]), arm.home, straight=False)
 
 

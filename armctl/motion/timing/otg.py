@@ -1,7 +1,8 @@
 """Time-optimal, jerk-limited profiles between two states, by ruckig; for rest to rest with a closed form as the fallback.
 
 Ruckig: Berscheid and Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021. Its end
-states are accurate to 1e-8 only, and it fails for some extreme limits; `solve_pieces` corrects both.
+states are accurate to 1e-8 only, and it fails for some extreme limits; `solve_pieces` corrects both. Where a start is beyond a
+limit, ruckig first brakes into the limits.
 """
 
 from __future__ import annotations
@@ -43,6 +44,9 @@ class JointState(NamedTuple):
 def at_rest(q: Array) -> JointState:
     zero = np.zeros_like(q)
     return JointState(q, zero, zero)
+
+
+Bounds = tuple[Array, Array, Array]  # v_max, a_max and j_max, each (n,)
 
 
 class Phases(NamedTuple):
@@ -91,6 +95,9 @@ class Profile:
             least, most = (start, end) if start < end else (end, start)
             # It cannot leave [least, most] by more than it can cover, there and back, in the time that is left over.
             spare = 0.5 * (v_max * self.duration - (most - least))
+            brake = profile.brake
+            if brake.duration > 0.0 and not _brakes_inside(brake, start, low, high):
+                return False
             if low + spare <= least and most + spare <= high:
                 continue
             least = min(q)
@@ -203,26 +210,72 @@ def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState, max
     """The fastest move between two states as polynomials that end exactly at the goal.
 
     From rest to rest there always is one, inside the limits. Otherwise it may exceed velocity, acceleration and jerk limits by
-    rounding, at most by the factor 1 + max_excess; PlanError is raised if there is none.
+    rounding, at most by the factor 1 + max_excess, and by what the start makes unavoidable; PlanError is raised if there is none.
     """
     rests = not any(np.any(x) for x in (start.v, start.a, goal.v, goal.a))
     profile = solver.solve(start, goal)
     if profile is not None:
         pieces = ending_at(profile.pieces(start), goal)
+        bounds = solver.bounds if rests else unavoidable_bounds(solver.bounds, start)
         stretch = 1.0
         added = zip(pieces.correction, solver.bounds, strict=True)
         is_negligible = all((change <= _NEGLIGIBLE * bound).all() for change, bound in added)
         if not is_negligible or _clock_error(profile.duration, solver.bounds) > _NEGLIGIBLE:
-            stretch = stretch_needed(pieces.corrected, solver.bounds)
+            stretch = stretch_needed(pieces.corrected, bounds)
         if stretch <= 1 + max_excess:
             return pieces.corrected
         if rests and stretch <= _MAX_STRETCH:
             return slowed_to_bounds(pieces.corrected, solver.bounds)
-        if not rests:
-            raise PlanError("the move between two states is too short or too long to be computed accurately; move them apart")
-    if not rests:
+    if rests:
+        return straight_rest_to_rest(np.asarray(start.q), np.asarray(goal.q), solver.bounds)
+    pieces = _solved_in_own_units(solver.bounds, start, goal)
+    if pieces is None:
         raise PlanError("no jerk-limited move joins the two states; start and end slower")
-    return straight_rest_to_rest(np.asarray(start.q), np.asarray(goal.q), solver.bounds)
+    if stretch_needed(pieces, unavoidable_bounds(solver.bounds, start)) > 1 + max_excess:
+        raise PlanError("the move between two states is too short or too long to be computed accurately; move them apart")
+    return pieces
+
+
+def unavoidable_bounds(bounds: Bounds, start: JointState) -> Bounds:
+    """Limits that a motion from a state can keep: where the state leads beyond one, the least excess.
+
+    A joint with velocity v and acceleration a comes to v + a |a| / (2 j_max) until its acceleration is zero.
+    """
+    v_max, a_max, j_max = bounds
+    v = np.asarray(start.v)
+    a = np.asarray(start.a)
+    coasting = np.abs(v + a * np.abs(a) / (2 * j_max))
+    return np.maximum(v_max, np.maximum(np.abs(v), coasting)), np.maximum(a_max, np.abs(a)), j_max
+
+
+def _solved_in_own_units(bounds: Bounds, start: JointState, goal: JointState) -> Pieces | None:
+    """The fastest move between two states in its own units of time and position; None if ruckig finds none.
+
+    Ruckig's tolerances are absolute. With the unit of time that the states need at full jerk, and for each joint the unit of
+    position that makes this jerk 1, they are relative to the move, however short it is.
+    """
+    v_max, a_max, j_max = bounds
+    q = np.asarray(start.q)
+    way = np.asarray(goal.q) - q
+    times = [np.cbrt(np.abs(way) / j_max)]
+    for state in (start, goal):
+        times += [np.sqrt(np.abs(state.v) / j_max), np.abs(state.a) / j_max]
+    time = float(np.max(times))
+    if time == 0.0:
+        return standing(q)
+    length = j_max * time**3
+    to_velocity = time / length
+    to_acceleration = time**2 / length
+    solver = ProfileSolver(v_max * to_velocity, a_max * to_acceleration, np.ones_like(j_max))
+    first = JointState(np.zeros_like(q), start.v * to_velocity, start.a * to_acceleration)
+    last = JointState(way / length, goal.v * to_velocity, goal.a * to_acceleration)
+    profile = solver.solve(first, last)
+    if profile is None:
+        return None
+    knots, coefficients = ending_at(profile.pieces(first), last).corrected
+    coefficients = coefficients * (length / time ** np.arange(DEGREE + 1.0)[:, None])
+    coefficients[:, 0] += q
+    return ending_at(Pieces(knots * time, coefficients), goal).corrected
 
 
 class Corrected(NamedTuple):
@@ -281,13 +334,13 @@ def _quintic(knots: Array, q: Array, v: Array, a: Array) -> tuple[Array, tuple[A
     return coefficients, tuple(np.array(f) @ size / duration**order for order, f in enumerate(_DERIVATIVE_FACTORS, start=1))
 
 
-def _clock_error(duration: float, bounds: tuple[Array, Array, Array]) -> float:
+def _clock_error(duration: float, bounds: Bounds) -> float:
     """How much of a limit the rounding of times can add: 262 s into a motion, a phase of 6 ns lasts 6e-14 s too long."""
     v_max, a_max, j_max = bounds
     return float(np.spacing(duration) * max((j_max / a_max).max(), (a_max / v_max).max()))
 
 
-def slowed_to_bounds(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> Pieces:
+def slowed_to_bounds(pieces: Pieces, bounds: Bounds) -> Pieces:
     """A move, slowed down to keep limits on velocity, acceleration and jerk; unchanged if it does."""
     for attempt in range(1, _MAX_SLOWDOWNS + 1):
         stretch = stretch_needed(pieces, bounds)
@@ -298,7 +351,7 @@ def slowed_to_bounds(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> Piec
     return pieces
 
 
-def straight_rest_to_rest(start: Array, goal: Array, bounds: tuple[Array, Array, Array]) -> Pieces:
+def straight_rest_to_rest(start: Array, goal: Array, bounds: Bounds) -> Pieces:
     """The fastest move on a straight line in joint space from rest to rest, in closed form.
 
     The profile has seven phases: Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", 2008, 3.4.
@@ -386,6 +439,19 @@ def _turns_inside(profile: ruckig.Profile, low: float, high: float) -> bool:
                 if 0 < u < t[k] and not low <= q[k] + u * (v[k] + u * (a[k] / 2 + u * j[k] / 6)) <= high:
                     return False
     return True
+
+
+def _brakes_inside(brake: ruckig.BrakeProfile, end: float, low: float, high: float) -> bool:
+    """Whether a joint stays between two positions while it brakes into its limits, in one or two phases."""
+    q = brake.p
+    positions = [q[0], end]
+    for k in range(2):
+        if brake.t[k] > 0.0:
+            positions.append(q[k])
+            for u in _turning_times(brake.v[k], brake.a[k], brake.j[k]):
+                if 0 < u < brake.t[k]:
+                    positions.append(q[k] + u * (brake.v[k] + u * (brake.a[k] / 2 + u * brake.j[k] / 6)))
+    return low <= min(positions) and max(positions) <= high
 
 
 def _turning_times(v: float, a: float, j: float) -> tuple[float, ...]:

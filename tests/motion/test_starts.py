@@ -1,0 +1,188 @@
+"""Motions from the last moments of another one, and from states beyond the limits, judged by closed forms and by ruckig alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ruckig
+from motion_check import violation
+from synthetic import Shape, serial_arm
+
+import armctl
+
+N = 3
+LEFT_S = (3e-2, 1e-2, 4e-3, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
+SHARES = (1.0001, 1.01, 1.5, 3.0)
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory) -> armctl.Arm:
+    """An arm whose motors and joint ranges limit nothing."""
+    arm = serial_arm(tmp_path_factory.mktemp("arm"), Shape(0.3, 2.0, 100.0, joints=N))
+    many = np.full(N, 1e6)
+    return arm.with_limits(replace(arm.limits, q_min=-many, q_max=many, tau_max=1e3 * many))
+
+
+def with_bounds(arm: armctl.Arm, v: np.ndarray, a: np.ndarray, j: np.ndarray) -> armctl.Arm:
+    return arm.with_limits(replace(arm.limits, v_max=v, a_max=a, j_max=j))
+
+
+def random_arm(arm: armctl.Arm, rng: np.random.Generator) -> armctl.Arm:
+    return with_bounds(arm, rng.uniform(0.5, 5, N), rng.uniform(2, 20, N), rng.uniform(20, 500, N))
+
+
+def by_ruckig_alone(arm: armctl.Arm, start: armctl.Setpoint, goal: np.ndarray) -> float:
+    """s, the duration of ruckig's own motion to rest at the goal."""
+    limits = arm.limits
+    problem = ruckig.InputParameter(N)
+    problem.current_position = start.q.tolist()
+    problem.current_velocity = start.v.tolist()
+    problem.current_acceleration = start.a.tolist()
+    problem.target_position = goal.tolist()
+    problem.max_velocity = limits.v_max.tolist()
+    problem.max_acceleration = limits.a_max.tolist()
+    problem.max_jerk = limits.j_max.tolist()
+    motion = ruckig.Trajectory(N)
+    ruckig.Ruckig(N).calculate(problem, motion)
+    return motion.duration
+
+
+def assert_joins(motion, start: armctl.Setpoint, goal: np.ndarray) -> None:
+    """A straight motion may turn a start that is off the line by 1e-6 of a limit into the line."""
+    tolerances = (1e-9, 1e-6 * motion.limits.v_max.max(), 1e-6 * motion.limits.a_max.max())
+    for planned, given, tolerance in zip(motion(0.0)[:3], start[:3], tolerances, strict=True):
+        assert np.allclose(planned, given, rtol=1e-9, atol=tolerance)
+    end = motion(motion.duration)
+    assert np.allclose(end.q, goal, rtol=0.0, atol=1e-12)
+    assert np.abs(end.v).max() < 1e-9
+    assert np.abs(end.a).max() < 1e-6
+
+
+@pytest.mark.parametrize("straight", [True, False])
+@pytest.mark.parametrize("left", LEFT_S)
+def test_a_move_starts_in_the_last_moments_of_another_one_and_takes_as_long_as_it_had_left(light, straight, left):
+    """Rounding of the position by 2e-16 rad at a jerk of 20 rad/s^3 takes 4 (1e-17)^(1/3) = 1e-5 s to correct."""
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        arm = random_arm(light, rng)
+        q = rng.uniform(-1, 1, N)
+        goal = q + rng.normal(0, 0.3, N)
+        whole = armctl.move_j(arm, q, goal, straight=straight)
+        start = whole(whole.duration - left)
+        motion = armctl.move_j(arm, start, goal, straight=straight)
+        assert motion.duration <= left * (1 + 1e-5) + 3e-5
+        assert_joins(motion, start, goal)
+        assert not violation(motion, arm.limits)
+
+
+@pytest.mark.parametrize("left", LEFT_S)
+def test_a_goal_that_moves_a_little_in_the_last_moments_is_reached(light, left):
+    rng = np.random.default_rng(2)
+    for _ in range(30):
+        arm = random_arm(light, rng)
+        q = rng.uniform(-1, 1, N)
+        goal = q + rng.normal(0, 0.3, N)
+        whole = armctl.move_j(arm, q, goal)
+        start = whole(whole.duration - left)
+        moved = goal + 1e-4 * rng.normal(size=N)
+        motion = armctl.move_j(arm, start, moved, straight=False)
+        assert motion.duration == pytest.approx(by_ruckig_alone(arm, start, moved), rel=2e-3, abs=1e-6)
+        assert_joins(motion, start, moved)
+        assert not violation(motion, arm.limits)
+
+
+def least_excess(limits: armctl.Limits, start: armctl.Setpoint) -> armctl.Limits:
+    """The limits, but where the start is beyond one what no motion can avoid: constant jerk ends an acceleration a at v + a |a| / 2 J."""
+    coasting = np.abs(start.v + start.a * np.abs(start.a) / (2 * limits.j_max))
+    return replace(
+        limits, v_max=np.max([limits.v_max, np.abs(start.v), coasting], axis=0), a_max=np.maximum(limits.a_max, np.abs(start.a))
+    )
+
+
+@pytest.mark.parametrize("share", SHARES)
+@pytest.mark.parametrize("what", ["velocity", "acceleration", "both"])
+def test_a_start_beyond_a_limit_is_braked_into_it_as_fast_as_possible(light, share, what):
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        arm = random_arm(light, rng)
+        limits = arm.limits
+        sign = np.where(rng.uniform(size=N) < 0.5, -1.0, 1.0)
+        v = sign * limits.v_max * (share if what != "acceleration" else rng.uniform(0, 0.5))
+        a = sign * limits.a_max * (share if what != "velocity" else 0.0)
+        start = armctl.Setpoint(rng.uniform(-1, 1, N), v, a)
+        goal = rng.normal(0, 2, N)
+        motion = armctl.move_j(arm, start, goal, straight=False)
+        assert motion.duration == pytest.approx(by_ruckig_alone(arm, start, goal), rel=1e-6)
+        assert_joins(motion, start, goal)
+        assert not violation(motion, least_excess(limits, start))
+        # Within the time in which the jerk can turn the acceleration and brake the excess, the motion is inside for good.
+        excess = least_excess(limits, start).v_max - limits.v_max
+        turn = (np.abs(a) + limits.a_max) / limits.j_max
+        inside = float((turn + excess / limits.a_max + limits.a_max / limits.j_max).max())
+        later = motion.sample(np.linspace(min(inside, motion.duration), motion.duration, 2000))
+        assert (np.abs(later.v) <= limits.v_max * (1 + 1e-6)).all()
+        assert (np.abs(later.a) <= limits.a_max * (1 + 1e-6)).all()
+
+
+def test_a_start_at_one_and_a_half_times_the_limit_takes_the_published_time(light):
+    """Ruckig's public report 128: 0.167347 s."""
+    arm = with_bounds(light, np.array([800.0, 1.0, 1.0]), np.array([4e4, 1.0, 1.0]), np.array([2e5, 1.0, 1.0]))
+    start = armctl.Setpoint(np.array([1300.0, 0.0, 0.02]), np.array([1200.0, 0.0, 0.0]), np.zeros(N))
+    motion = armctl.move_j(arm, start, np.array([1400.0, 0.0, 0.02]), straight=False)
+    assert motion.duration == pytest.approx(0.167347, abs=1e-6)
+
+
+@pytest.mark.parametrize("share", SHARES)
+def test_online_motions_and_streams_start_beyond_a_limit_and_come_to_rest(light, share):
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        arm = random_arm(light, rng)
+        start = armctl.Setpoint(rng.uniform(-1, 1, N), share * arm.limits.v_max, -share * arm.limits.a_max)
+        goal = rng.normal(0, 1, N)
+        online = armctl.OnlineMotion(arm, start)
+        online.go_to(goal)
+        assert online.time_left == pytest.approx(by_ruckig_alone(arm, start, goal), rel=1e-6)
+        stream = armctl.Stream(arm, start)
+        stream.push(0.0, goal)
+        for source in (online, stream):
+            now = start
+            for _ in range(int(source.time_left / 1e-3) + 2):
+                possible = least_excess(arm.limits, now)
+                now = source.step(1e-3)
+                assert (np.abs(now.v) <= possible.v_max * (1 + 1e-6)).all()
+                assert (np.abs(now.a) <= possible.a_max * (1 + 1e-6)).all()
+            assert np.abs(now.v).max() < 1e-6
+            assert np.allclose(now.q, goal, atol=1e-7)
+
+
+@pytest.mark.parametrize("straight", [True, False])
+def test_limits_may_fall_during_a_motion(light, straight):
+    arm = with_bounds(light, np.full(N, 3.0), np.full(N, 3.0), np.full(N, 6.0))
+    goal = np.array([10.0, 8.0, 5.0])
+    whole = armctl.move_j(arm, np.zeros(N), goal)
+    start = whole(2.0)
+    low = arm.with_limits(replace(arm.limits, v_max=np.full(N, 1.0)))
+    motion = armctl.move_j(low, start, goal, straight=straight)
+    assert_joins(motion, start, goal)
+    assert np.abs(motion.sample(np.linspace(2.0, motion.duration, 500)).v).max() <= 1.0 + 1e-6
+    assert_joins(armctl.move_j(arm, start, goal, straight=straight, speed=0.4), start, goal)
+
+
+def test_a_start_that_leaves_the_range_while_it_brakes_is_refused(light):
+    """At full deceleration A from 1.5 times the limit, the way exceeds v^2 / 2 A."""
+    arm = with_bounds(light, np.full(N, 1.0), np.full(N, 2.0), np.full(N, 1e3))
+    v = np.array([1.5, 0.0, 0.0])
+    way = 1.5**2 / (2 * 2.0) + 1.5 * 2.0 / 1e3 / 2
+    for room, ok in ((way + 1e-2, True), (way - 1e-2, False)):
+        near = arm.with_limits(replace(arm.limits, q_max=np.array([room, 9.0, 9.0])))
+        start = armctl.Setpoint(np.zeros(N), v, np.zeros(N))
+        for begin in (
+            armctl.OnlineMotion,
+            armctl.Stream,
+            lambda arm, start: armctl.move_j(arm, start, np.zeros(N), straight=False),
+        ):
+            if ok:
+                begin(near, start)
+            else:
+                with pytest.raises(armctl.LimitError, match="q_start"):
+                    begin(near, start)
