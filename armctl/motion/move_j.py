@@ -45,10 +45,7 @@ def move_j(
     planning = planning_arm(arm, speed)
     start = start_state(planning, q_start)
     goal = arm.checked("q_goal", q_goal)
-    if flag("straight", straight):
-        pieces = _line(planning, start, goal)
-    else:
-        pieces = _each_joint(planning.limits, start, goal)
+    pieces = _line(planning, start, goal) if flag("straight", straight) else _each_joint(planning.limits, start, goal)
     motion = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
     is_moving = start.v.any() or start.a.any()
     if is_moving and not (check := motion.check_limits(limits_from(arm.limits, start))).ok:

@@ -1,4 +1,4 @@
-"""Motions from the last moments of another one, and from states beyond the limits, judged by closed forms and by ruckig alone."""
+"""Motions from the last moments of another one and from states beyond the limits, judged by closed forms and ruckig alone."""
 
 from dataclasses import replace
 
@@ -92,7 +92,10 @@ def test_a_goal_that_moves_a_little_in_the_last_moments_is_reached(light, left):
 
 
 def least_excess(limits: armctl.Limits, start: armctl.Setpoint) -> armctl.Limits:
-    """The limits, but where the start is beyond one what no motion can avoid: constant jerk ends an acceleration a at v + a |a| / 2 J."""
+    """The limits, but where the start is beyond one what no motion can avoid.
+
+    The largest jerk J ends an acceleration a at the velocity v + a |a| / 2 J.
+    """
     coasting = np.abs(start.v + start.a * np.abs(start.a) / (2 * limits.j_max))
     return replace(
         limits, v_max=np.max([limits.v_max, np.abs(start.v), coasting], axis=0), a_max=np.maximum(limits.a_max, np.abs(start.a))

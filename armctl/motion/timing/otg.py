@@ -210,7 +210,7 @@ def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState, max
     """The fastest move between two states as polynomials that end exactly at the goal.
 
     From rest to rest there always is one, inside the limits. Otherwise it may exceed velocity, acceleration and jerk limits by
-    rounding, at most by the factor 1 + max_excess, and by what the start makes unavoidable; PlanError is raised if there is none.
+    rounding, at most by the factor 1 + max_excess, and by what the start makes unavoidable; PlanError if there is none.
     """
     rests = not any(np.any(x) for x in (start.v, start.a, goal.v, goal.a))
     profile = solver.solve(start, goal)
