@@ -26,7 +26,7 @@ from armctl.loading.chain import SerialChain, all_chains
 from armctl.loading.describe import ArmEnds, ArmPlan, describe_arms, find_ends
 from armctl.loading.home import home_qpos, remove_free_joints
 from armctl.loading.link_shapes import fixed_without_shape, names_of, unchecked_links
-from armctl.loading.model_checks import check_joint_parameters, check_mass_matrix, check_timestep, model_notes
+from armctl.loading.model_checks import check_joint_parameters, check_mass_matrix, check_memory, check_timestep, model_notes
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.loading.scene import Scene
 from armctl.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
@@ -276,6 +276,7 @@ def _loaded(
         source = Source(model.names[: model.names.index(b"\0")].decode(errors="replace") or "model", None)
         with _naming(source.name):
             check_timestep(model)
+            check_memory(model)
             analysis = Transmissions(model)
             plans = describe_arms(source, analysis, ends)
             prepared = make_arm_model_from_compiled(analysis, plans)

@@ -7,6 +7,7 @@ import numpy as np
 
 from armctl.core.errors import ModelError
 from armctl.core.validation import shown
+from armctl.loading.catalog import arena_bytes
 from armctl.mjmodel.queries import body_name, joint_name
 from armctl.robot.arm import Arm
 
@@ -18,6 +19,25 @@ def check_timestep(model: mujoco.MjModel) -> None:
     timestep = float(model.opt.timestep)
     if not (math.isfinite(timestep) and timestep > 0.0):
         raise ModelError(f'the model\'s time step is {timestep:g} s; it must be above 0, as in <option timestep="0.002"/>')
+
+
+def check_memory(model: mujoco.MjModel) -> None:
+    """Refuses a compiled model in whose memory MuJoCo cannot search contacts among all bodies; it cannot get more."""
+    needed = arena_bytes(model.nbody)
+    if needed > model.narena and _overflows(model):
+        raise ModelError(
+            f"the model has {model.nbody} bodies and {model.narena / 1e6:.3g} MB of memory, too little to find their contacts; "
+            f'write <size memory="{needed >> 20}M"/> into the file, or pass the MjSpec'
+        )
+
+
+def _overflows(model: mujoco.MjModel) -> bool:
+    """Whether MuJoCo has too little memory for the contacts at the model's first state."""
+    try:
+        mujoco.mj_fwdPosition(model, mujoco.MjData(model))
+    except mujoco.FatalError:
+        return True
+    return False
 
 
 def check_joint_parameters(model: mujoco.MjModel) -> None:

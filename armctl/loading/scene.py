@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import reduce
@@ -134,6 +135,7 @@ class Scene:
             ModelError: MuJoCo cannot read it, or it holds a robot.
         """
         self.items: list[Item] = []
+        self._names: set[str] = set()
         self._file = None if file is None else SceneFile(file)
 
     def add_box(self, name: str, size: ArrayLike, at: Pose | ArrayLike, mass: float | None = None) -> Scene:
@@ -181,8 +183,9 @@ class Scene:
         instance("spec", spec, mujoco.MjSpec, "mujoco.MjSpec.from_file reads one")
         names = [*(self._file.bodies if self._file else ()), *(item.name for item in self.items)]
         taken = {body.name for body in spec.bodies}
+        counts = Counter(names)
         for name in names:
-            if name in taken or names.count(name) > 1:
+            if name in taken or counts[name] > 1:
                 raise InputError(f"scene: the model has a body {name!r} already; choose another name")
         geoms = {geom.name for geom in spec.geoms}
         for item in self.items:
@@ -225,11 +228,12 @@ class Scene:
 
     def _add(self, name: str, shape: mujoco.mjtGeom, size: Array, at: Pose | ArrayLike, mass: float | None) -> Scene:
         instance("name", name, str, "such as 'table'")
-        if not name or any(name == item.name for item in self.items):
+        if not name or name in self._names:
             raise InputError(f"name: {name!r} is empty or in the scene already; choose another")
         if mass is not None:
             number("mass", mass, 1e-6)
         pose = at if isinstance(at, Pose) else Pose(vector("at", at, 3))
+        self._names.add(name)
         self.items.append(Item(name, shape, size, pose, mass))
         return self
 

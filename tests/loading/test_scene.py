@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from synthetic import limb, motors
+from synthetic import limb, mjcf, motors
 
 import armctl
 
@@ -234,3 +234,26 @@ def test_a_box_that_only_some_configurations_cut_keeps_its_contact(tmp_path):
         arm = in_hall(tmp_path, scene)
     log = armctl.simulate(arm, "pd", armctl.move_j(arm, [0, 0], [0, 0]))
     assert "turret" in {contact.body for contact in log.contacts}
+
+
+@pytest.mark.parametrize("count", [1500, 4000, 10_000])
+def test_an_arm_among_thousands_of_things_loads_and_mujoco_steps_it(tmp_path, count):
+    """MuJoCo reserves memory for all pairs of bodies; the default is too little from 1900 on."""
+    scene = armctl.Scene()
+    for i in range(count):
+        scene.add_ball(f"ball{i}", 0.01, [1.0 + 0.03 * (i % 100), 0.03 * (i // 100), 0.5])
+    path = tmp_path / "r.xml"
+    path.write_text(mjcf(limb("a b").replace('contype="0" conaffinity="0"', ""), motors("a b")))
+    arm = armctl.load(path, scene=scene)
+    assert arm.model.ngeom == count + 3  # two links and the target
+    data = mujoco.MjData(arm.model)
+    mujoco.mj_step(arm.model, data)
+    assert data.maxuse_arena < arm.model.narena
+
+
+def test_a_compiled_model_with_too_little_memory_is_refused_in_one_sentence():
+    spec = mujoco.MjSpec.from_string(mjcf(limb("a b").replace('contype="0" conaffinity="0"', ""), motors("a b")))
+    for i in range(4000):
+        spec.worldbody.add_body(pos=[1.0 + i, 0, 0]).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0])
+    with pytest.raises(armctl.ModelError, match=r'400[0-9] bodies and .* MB of memory.*<size memory="7[0-9]M"/>'):
+        armctl.load(spec.compile())
