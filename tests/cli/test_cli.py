@@ -377,7 +377,7 @@ def test_compare_tunes_controllers_to_one_delay_margin(capsys):
     default = json.loads(out)["result"][0]
     _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--delay-margin", "0.005", "--json")
     tuned = json.loads(out)["result"][0]
-    assert 5.0 <= 1e3 * tuned["delay_margin_s"] < 0.5e3 * default["delay_margin_s"]
+    assert 5.0 <= 1e3 * tuned["delay_margin_s"] < 0.6e3 * default["delay_margin_s"]
     _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--delay-margin", "0.005")
     assert out.startswith("computed-torque-textbook has its default gains: it has no gains to tune")
 
