@@ -18,6 +18,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 TextArray = NDArray[np.object_]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
+_INERTIA_TOLERANCE = 1e-3  # of the largest element: data sheets round to a few digits
 
 
 def instance(what: str, value: object, kind: type | tuple[type, ...], hint: str) -> None:
@@ -92,6 +93,27 @@ def as_array(what: str, value: object) -> NDArray[Any]:
 
 def _holds_real_numbers(given: NDArray[np.generic]) -> bool:
     return given.dtype.kind == "O" and all(isinstance(x, numbers.Real) and not isinstance(x, bool) for x in given.flat)
+
+
+def inertia_tensor(what: str, value: ArrayLike) -> Array:
+    """(3, 3) kg m^2 of a body about its center of mass, from three moments along the axes, or a symmetric matrix.
+
+    InputError if no body has it: a negative moment, or one above the sum of the two others.
+    """
+    given = as_array(what, value)
+    tensor = np.diag(vector(what, value, 3)) if given.ndim == 1 else array(what, value, 2)
+    if tensor.shape != (3, 3):
+        raise InputError(f"{what}: expected three moments or a (3, 3) matrix, kg m^2, got the shape {tensor.shape}")
+    size = float(np.abs(tensor).max())
+    if np.abs(tensor - tensor.T).max() > _INERTIA_TOLERANCE * size:
+        raise InputError(f"{what}: the matrix is not symmetric, so no body has this inertia")
+    moments = np.linalg.eigvalsh(tensor)
+    if moments[0] < -_INERTIA_TOLERANCE * size or moments[2] > moments[0] + moments[1] + _INERTIA_TOLERANCE * size:
+        text = ", ".join(f"{x:.4g}" for x in moments)
+        raise InputError(
+            f"{what}: no body has the principal moments [{text}] kg m^2; each is at least 0 and at most the sum of the others"
+        )
+    return frozen(0.5 * (tensor + tensor.T))
 
 
 def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) -> float:

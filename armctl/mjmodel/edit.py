@@ -1,4 +1,4 @@
-"""Edits of models: a point mass on a body, a body that can carry a payload, the options of another specification."""
+"""Edits of models: a payload on a body, a body that can carry a payload, the options of another specification."""
 
 import mujoco
 import numpy as np
@@ -32,21 +32,24 @@ def payload_body(model: mujoco.MjModel, body: int) -> int | None:
     return next((b for b in welded_behind(model, body) if not model.body_gravcomp[b]), None)
 
 
-def add_point_mass(model: mujoco.MjModel, body: int, mass: float, point: Array) -> None:
-    """Adds a mass, kg, at a point (3,) m of a body's frame, in place. The caller must call `mj_setConst` afterwards.
+def add_payload(model: mujoco.MjModel, body: int, T_body_tip: Pose, mass: float, center: Array, inertia: Array) -> None:
+    """Adds a rigid payload to a body, in place. The caller must call `mj_setConst` afterwards.
 
-    If MuJoCo lifts the body by `gravcomp`, a body welded to it carries the mass, which is not lifted.
+    `center` (3,) m and `inertia` (3, 3) kg m^2, about the center of mass, are in the axes of the tip. If MuJoCo lifts the
+    body by `gravcomp`, a body welded to it carries the payload, which is not lifted.
     """
+    T_carrier_tip = T_body_tip
     carrier = payload_body(model, body)
     if carrier is not None:
-        point = _pose_in(model, body, carrier).transform(point)
+        T_carrier_tip = _pose_in(model, body, carrier) @ T_body_tip
         body = carrier
+    turn = T_carrier_tip.rotation
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
     rotation = rotation.reshape(3, 3)
     own_inertia = rotation @ np.diag(model.body_inertia[body]) @ rotation.T
     own = pin.Inertia(float(model.body_mass[body]), model.body_ipos[body].copy(), own_inertia)
-    total = own + pin.Inertia(mass, np.asarray(point, dtype=np.float64), np.zeros((3, 3)))
+    total = own + pin.Inertia(mass, np.asarray(T_carrier_tip.transform(center), dtype=np.float64), turn @ inertia @ turn.T)
     set_body_inertia(model, body, total)
 
 

@@ -20,8 +20,8 @@ from armctl.core.limits import Limits
 from armctl.core.other_names import with_hints
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.tables import Table
-from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
-from armctl.mjmodel.edit import add_point_mass
+from armctl.core.validation import Array, IntArray, inertia_tensor, instance, matrix, number, vector
+from armctl.mjmodel.edit import add_payload
 from armctl.robot.actuation import Actuation
 from armctl.robot.core_model import tips
 from armctl.robot.dynamics import Dynamics, core_model
@@ -378,6 +378,7 @@ class Arm:
         self,
         mass: float,
         center: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike = (0.0, 0.0, 0.0),
         *,
         coulomb_friction: ArrayLike = 0.0,
         viscous_friction: ArrayLike = 0.0,
@@ -385,8 +386,10 @@ class Arm:
         """The same arm with a known payload at the tip: the model that a controller should use.
 
         Args:
-            mass: kg, of a point mass at the tip.
-            center: (3,) m, where it is, in the tip's frame.
+            mass: kg, of a payload that is rigidly attached to the tip.
+            center: (3,) m, its center of mass, in the tip's frame.
+            inertia: kg m^2 about its center of mass, in the tip's axes: a (3, 3) matrix, or (3,) moments along the axes. Left
+                out, the payload is a point mass.
             coulomb_friction: N m of dry friction added to the model's, on each joint or (n,) for each.
             viscous_friction: N m s/rad of damping added to the model's, on each joint or (n,) for each.
 
@@ -394,8 +397,8 @@ class Arm:
             The arm. A simulation of it carries the payload as well: do not give the plant the same payload again.
 
         Raises:
-            InputError: The mass or the friction of a joint becomes negative, or a number is not finite, or a list has a wrong
-                length.
+            InputError: The mass or the friction of a joint becomes negative, a number is not finite, a list has a wrong length,
+                or no body has the inertia, or has it without a mass.
         """
         model = copy.copy(self.model)
         for what, value, column in (
@@ -411,8 +414,11 @@ class Arm:
                 raise InputError(f"{what}: {self.joint_names[i]:.60}: expected at least {least:g}, got {added[i]:g}")
             column[self.dof_adr] = total
         mass = number("mass", mass, 0.0)
+        tensor = inertia_tensor("inertia", inertia)
         if mass > 0.0:
-            add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))
+            add_payload(model, self.tip_body, self.T_body_tip, mass, vector("center", center, 3), tensor)
+        elif tensor.any():
+            raise InputError("inertia: given for a payload without mass; give the mass in kg as well")
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return with_model(self, model)
 

@@ -15,7 +15,7 @@ from armctl.core.errors import InputError
 from armctl.core.other_names import check_keywords
 from armctl.core.validation import Array, IntArray, instance, number, shown, vector
 from armctl.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
-from armctl.mjmodel.edit import add_point_mass
+from armctl.mjmodel.edit import add_payload
 from armctl.mjmodel.queries import actuator_name, is_on_joint
 from armctl.mjmodel.spring_joints import spring_joints
 from armctl.robot.arm import Arm
@@ -99,8 +99,10 @@ class Plant:
     `str(plant)` is its name, or else a list of all differences. `PLANT_ATTRIBUTES` is the table of its attributes.
 
     Attributes:
-        payload: kg, a point mass at the tip.
-        payload_center: (3,) m, the position of that mass in the tip frame.
+        payload: kg, of a load that is rigidly attached to the tip.
+        payload_center: (3,) m, its center of mass in the tip frame.
+        payload_inertia: kg m^2 about its center of mass, in the axes of the tip frame: (3,) moments or a (3, 3) matrix;
+            zero for a point mass.
         mass_scale: Factor on the masses and inertias of all moving links.
         coulomb_friction: N m of dry friction added to the model's; a number for all joints or (n,).
         viscous_friction: N m s/rad of damping added to the model's; a number for all joints or (n,).
@@ -145,6 +147,9 @@ class Plant:
     payload: float = plant_attribute(Kind.NUMBER, 0.0, unit="kg", low=0.0, phrase="payload {} kg", varies_in_episodes=True)
     payload_center: ArrayLike = plant_attribute(
         Kind.POINT, (0.0, 0.0, 0.0), unit="m", phrase="payload at {} m", only_with=("payload",)
+    )
+    payload_inertia: ArrayLike = plant_attribute(
+        Kind.INERTIA, (0.0, 0.0, 0.0), unit="kg m^2", phrase="payload inertia {} kg m^2", only_with=("payload",)
     )
     mass_scale: float = plant_attribute(Kind.NUMBER, 1.0, low=1e-3, phrase="masses x {}", varies_in_episodes=True)
     coulomb_friction: ArrayLike = plant_attribute(
@@ -320,8 +325,8 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
         model.body_mass *= plant.mass_scale
         model.body_inertia *= plant.mass_scale
     if plant.payload > 0.0:
-        center = arms[0].T_body_tip.transform(plant.payload_center)
-        add_point_mass(model, arms[0].tip_body, plant.payload, center)
+        arm = arms[0]
+        add_payload(model, arm.tip_body, arm.T_body_tip, plant.payload, plant.payload_center, plant.payload_inertia)
     dofs = np.concatenate([arm.dof_adr for arm in arms])
     for what, column in (("coulomb_friction", model.dof_frictionloss), ("viscous_friction", model.dof_damping)):
         column[dofs] += per_joint(what, getattr(plant, what), arms)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, as_array, choice, instance, integer, number, vector
+from armctl.core.validation import Array, as_array, choice, inertia_tensor, instance, integer, number, vector
 
 _FIELD_KEY = "plant attribute"
 
@@ -22,6 +22,7 @@ class Kind(Enum):
     WHOLE_NUMBER = "whole number"
     PER_JOINT = "a number for all joints, or one for each"
     POINT = "three numbers"
+    INERTIA = "three moments, or a symmetric (3, 3) matrix"
     FLAG = "True or False"
     WORD = "one of some words"
     OTHER = "read by the plant itself"
@@ -58,6 +59,8 @@ class PlantAttribute:
                 return _per_joint(name, value, self.low)
             case Kind.POINT:
                 return vector(name, value, 3)
+            case Kind.INERTIA:
+                return inertia_tensor(name, value)
             case Kind.WORD:
                 return choice(name, value, self.words)
             case Kind.FLAG:
