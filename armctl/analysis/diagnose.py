@@ -14,6 +14,7 @@ from armctl.analysis.static_payload import doubt_about_torque_limits, static_pay
 from armctl.core.errors import ArmctlWarning, MissingShapeWarning, ModelError
 from armctl.core.validation import Array
 from armctl.loading.load import load
+from armctl.loading.unit_checks import unit_doubts
 from armctl.mjmodel.queries import body_name, joint_name
 from armctl.robot.arm import Arm
 
@@ -30,6 +31,8 @@ _ADVICE = {
     "has no mass or no inertia": 'write <mass value="..."/> and <inertia .../> into the <inertial> of these links',
     "no mass or inertia given": 'write <inertial><mass value="..."/><inertia .../></inertial> into these links',
     "no inertial given": 'write <inertial><mass value="..."/><inertia .../></inertial> into these links',
+    "no mass given": 'write <mass value="..."/> into the <inertial> of these links',
+    "no inertia given": 'write <inertia ixx="..." ixy="..." .../> into the <inertial> of these links',
     "no torque limit given": 'write <limit effort="..."/> (URDF) or forcerange="..." (MJCF) from the data sheet',
     "no actuator in the file": "add <actuator><motor joint=.../></actuator> for each joint",
     "touch at home": "list the pairs in an SRDF, or as <contact><exclude .../></contact> (MJCF)",
@@ -134,14 +137,20 @@ def diagnose(
         if issubclass(each.category, ArmctlWarning) and not issubclass(each.category, MissingShapeWarning)
     ]
     capacity = static_payloads(arm)
-    found = [Finding("warning", text, next((_ADVICE[each] for each in _ADVICE if each in text), "")) for text in texts]
+    doubts = unit_doubts(arm.model, arm.joint_map.joints, arm.tip_body, arm.T_body_tip.position)
+    found = [Finding("error", doubt) for doubt in doubts]
+    found += [
+        Finding("warning", text, next((_ADVICE[each] for each in _ADVICE if each in text), ""))
+        for text in texts
+        if text.partition(": ")[2] not in doubts
+    ]
     found += [
         Finding("error", str(each.message), _SHAPE_ADVICE) for each in caught if issubclass(each.category, MissingShapeWarning)
     ]
     found += _torque_findings(arm, capacity)
     found += _contact_findings(arm)
     found += _mass_findings(arm)
-    found += _assumptions(arm, is_tip_given=tip is not None)
+    found += _assumptions(arm, {text.partition(": ")[2] for text in texts}, is_tip_given=tip is not None)
     found.sort(key=lambda finding: _SEVERITIES.index(finding.severity))
     return Diagnosis(arm.name, tuple(found), static_payload(capacity))
 
@@ -150,9 +159,9 @@ def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:
     """Torque limits that are too weak or too strong for the arm."""
     source = arm.sources["tau_max"]
     home = arm.gravity(arm.home)
-    for name, torque, limit in zip(arm.joint_names, home, arm.limits.tau_max, strict=True):
+    for name, torque, limit, unit in zip(arm.joint_names, home, arm.limits.tau_max, arm.torque_units, strict=True):
         if abs(torque) > limit:
-            text = f"holding {name} still at home takes {abs(torque):.3g}, and its torque limit is {limit:.3g} ({source})"
+            text = f"holding {name} still at home takes {abs(torque):.3g} {unit}; its limit is {limit:.3g} {unit} ({source})"
             yield Finding("error", text, "correct the torque limit or the masses behind this joint")
     weak = float(np.mean(payloads < 0))
     if weak > 0:
@@ -203,14 +212,15 @@ def _mass_findings(arm: Arm) -> Iterator[Finding]:
         yield Finding("note", text, 'write armature="gear^2 x rotor inertia" at these joints (MJCF)')
 
 
-def _assumptions(arm: Arm, is_tip_given: bool) -> Iterator[Finding]:
+def _assumptions(arm: Arm, warned: set[str], is_tip_given: bool) -> Iterator[Finding]:
     """What armctl chose because the file does not say it."""
     if not is_tip_given:
         yield Finding("note", f"the tip is {arm.tip!r:.80}, chosen by armctl", "tip= names another site or body")
     assumed = [name for name, source in arm.sources.items() if source.startswith("default") or "default for" in source]
     if assumed:
         text = f"{', '.join(assumed)}: defaults, at least for some joints"
-        yield Finding("note", text, "a URDF's <limit velocity=...>, or arm.with_limits(...), sets them")
+        remedy = "arm.with_limits(...) sets them"
+        yield Finding("note", text, f"a URDF's <limit velocity=...>, or {remedy}" if "v_max" in assumed else remedy)
     for note in arm.notes:
-        if ".srdf: " in note or note.startswith("no collision shape for the fixed") or note.startswith("torque motors replace"):
+        if note not in warned:
             yield Finding("note", note)

@@ -121,8 +121,9 @@ class ServoEstimate(IdentifiedArm):
         return with_model(arm, model)
 
     def _complete(self, spec: mujoco.MjSpec, identified: Arm) -> None:
-        for actuator in spec.actuators:
-            if actuator.target not in self.arm.joint_names:
+        motors = np.isin(self.arm.model.actuator_ctrladr, self.arm.ctrl_adr)
+        for actuator, is_motor in zip(spec.actuators, motors, strict=False):
+            if not is_motor or actuator.target not in self.arm.joint_names:
                 continue
             i = self.arm.joint_names.index(actuator.target)
             limit = self.arm.limits.tau_max[i]

@@ -7,9 +7,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from armctl.core.validation import shown
 from armctl.loading.catalog import Source
+from armctl.loading.limits import torque_range
 from armctl.mjmodel.dc_motor import DcMotor, dc_motor, is_dc_motor
-from armctl.mjmodel.queries import Joints, joint_name
+from armctl.mjmodel.queries import Joints, actuator_name, is_powerless, joint_name
 from armctl.mjmodel.sensor_timing import sensor_timing
 from armctl.mjmodel.transmissions import Transmission, Transmissions
 
@@ -23,11 +25,19 @@ def dc_motors(source: Source, model: mujoco.MjModel, transmissions: Sequence[Tra
     """The DC motors of an arm's joints; None for a joint that has another actuator."""
     if not any(is_dc_motor(model, each.actuator) for each in transmissions):
         return tuple(None for _ in transmissions)
-    nominal = [] if source.path is None else list(_nominal_data(source.path))
+    nominal = [data for path in _files_of(source) for data in _nominal_data(path)]
     return tuple(
         dc_motor(model, each.actuator, each.gear, nominal) if is_dc_motor(model, each.actuator) else None
         for each in transmissions
     )
+
+
+def _files_of(source: Source) -> list[Path]:
+    """The file of a robot; of a specification, the files in the folder that MuJoCo read it from."""
+    if source.path is not None:
+        return [source.path]
+    folder = "" if source.spec is None else source.spec.modelfiledir
+    return sorted(Path(folder).glob("*.xml"))[:_MAX_INCLUDED_FILES] if folder else []
 
 
 def actuator_notes(
@@ -64,9 +74,69 @@ def actuator_notes(
         "the sensors of joints are late ({}); simulations and margins include it, but environments do not": late,
     }
     warned = [sentence.format(_listed(found)) for sentence, found in sentences.items() if found]
-    servos = [name for name, each in zip(names, transmissions, strict=True) if _is_servo(model, each.actuator)]
-    quiet = [f"torque motors replace the servos of {_listed(servos)}: their gains are not used"] if servos else []
+    warned += [
+        f"joint {shown(name)} is moved by {_sum_of_torques(model, each)}: one motor with the sum of their torques replaces them"
+        for name, each in zip(names, transmissions, strict=True)
+        if each.added
+    ]
+    warned += _partly_on_arm(analysis, transmissions)
+    servos = [
+        name
+        for name, each in zip(names, transmissions, strict=True)
+        if any(_is_servo(model, actuator) for actuator in (each.actuator, *each.added))
+    ]
+    quiet = (
+        [f"torque motors replace the servos of {_listed(servos)}: their gains are not used, and controls are torques"]
+        if servos
+        else []
+    )
+    quiet += [
+        f"the file switches {_names(model, each.idle)} of joint {shown(name)} off: only "
+        f"{_names(model, [each.actuator, *each.added])} counts"
+        for name, each in zip(names, transmissions, strict=True)
+        if each.idle
+    ]
     return warned, quiet
+
+
+def _sum_of_torques(model: mujoco.MjModel, transmission: Transmission) -> str:
+    """The actuators of a joint and what each can give."""
+    unit = "N" if model.jnt_type[transmission.joint] == mujoco.mjtJoint.mjJNT_SLIDE else "N m"
+    phrases = []
+    for actuator, gear in {transmission.actuator: transmission.gear, **transmission.added}.items():
+        source, low, high = torque_range(model, actuator, gear)
+        bounds = f"{high:.4g}" if low == -high else f"{low:.4g} to {high:.4g}"
+        phrases.append(shown(actuator_name(model, actuator)) + (f" ({bounds} {unit})" if source else ""))
+    return " and ".join(phrases)
+
+
+def _names(model: mujoco.MjModel, actuators: Sequence[int]) -> str:
+    return " and ".join(shown(actuator_name(model, actuator)) for actuator in actuators)
+
+
+def _partly_on_arm(analysis: Transmissions, transmissions: Sequence[Transmission]) -> list[str]:
+    """Actuators that act on joints of the arm in another way than its motors do: on several joints, or on a body."""
+    model = analysis.model
+    names = {joint: joint_name(model, joint) for each in transmissions for joint in each.coupled}
+    replaced = {actuator for each in transmissions for actuator in analysis.acting_on(set(each.coupled))}
+    others = [a for a in range(model.nactuator) if a not in replaced and not is_powerless(model, a)]
+    if not others:
+        return []
+    data = mujoco.MjData(model)
+    mujoco.mj_fwdPosition(model, data)
+    moments = np.zeros((model.nout, model.nv))
+    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    sentences = []
+    for actuator in others:
+        first = int(model.actuator_outadr[actuator])
+        outputs = moments[first : first + int(model.actuator_outnum[actuator])]
+        acted_on = [name for joint, name in names.items() if outputs[:, model.jnt_dofadr[joint]].any()]
+        if acted_on and model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_BODY:
+            sentences.append(
+                f"the actuator {shown(actuator_name(model, actuator))} also acts on {_listed(acted_on)}: it stays as it is in "
+                "the file, and controllers do not use or model it"
+            )
+    return sentences
 
 
 def mend_solver(model: mujoco.MjModel, option: mujoco.MjOption) -> list[str]:

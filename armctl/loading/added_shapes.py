@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.validation import Array, choice
-from armctl.loading.urdf import MIN_MASS_KG
+from armctl.loading.inertias import MIN_MASS_KG
 from armctl.mjmodel.queries import colliding_geoms, placed, welded_behind
 
 CAPSULES = "capsules"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 from urllib.request import getproxies
+from xml.parsers import expat
 
 import mujoco
 
@@ -18,6 +20,7 @@ from armctl.core.errors import ArmctlError, InputError, ModelError, UnknownNameE
 from armctl.core.file_reading import shown_path
 from armctl.core.validation import shown
 from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
+from armctl.loading.inertias import correct_inertias
 from armctl.loading.urdf import Description, read_urdf
 from armctl.loading.urdf_file import UrdfFile, is_urdf, read_urdf_file
 
@@ -41,6 +44,7 @@ _DEFAULT_ARENA_BYTES = 16 << 20  # for contacts and constraints
 _BODIES_OF_DEFAULT_ARENA = 1000
 _FEW_PIXELS = 8  # width of a texture that nothing is drawn with
 _MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError)
+_MISMATCHED_TAG = 7  # expat's XML_ERROR_TAG_MISMATCH
 _PACKAGE = "robot_descriptions"
 _NAME = re.compile(r"\w+_description")
 _PATHS = ("MJCF_PATH", "URDF_PATH", "XACRO_PATH")  # an MJCF says most
@@ -63,15 +67,17 @@ class Source:
     def read(self, *, visual: bool = False) -> Description:
         """The description as a new specification; ModelError if it is none. `visual` is that of `read_urdf`."""
         if self.path is None:
-            return Description(self._copied_spec(), [])
+            copied = self.copied_spec()
+            return Description(copied, correct_inertias(copied))
         try:
             if self.urdf is not None:
                 return read_urdf(self.urdf, visual=visual)
-            return Description(mujoco.MjSpec.from_file(str(self.path)), [])
+            spec = mujoco.MjSpec.from_file(str(self.path))
+            return Description(spec, correct_inertias(spec))
         except _MUJOCO_ERRORS as error:
             if "'mujocoinclude'" in str(error):
                 raise ModelError(f"{self._label}: a part of an MJCF; load the file that includes it") from None
-            raise ModelError(f"{self._label}: MuJoCo cannot read it: {_one_line(error)}") from None
+            raise ModelError(f"{self._label}: MuJoCo cannot read it: {_xml_fault(self.path) or _one_line(error)}") from None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """The model of a specification that was read from here; ModelError if MuJoCo cannot compile it."""
@@ -101,7 +107,7 @@ class Source:
                 texture.width = width
                 texture.height = height
 
-    def _copied_spec(self) -> mujoco.MjSpec:
+    def copied_spec(self) -> mujoco.MjSpec:
         """A copy of the caller's specification. MjSpec.copy silently drops elements that refer to others that do not exist."""
         assert self.spec is not None
         copy = self.spec.copy()
@@ -249,6 +255,21 @@ def _check_network(robot: menagerie.Robot) -> None:
 def _one_line(error: Exception) -> str:
     """The first 200 characters of a message, in one line."""
     return f"{' '.join(str(error).split()):.200}"
+
+
+def _xml_fault(path: Path) -> str:
+    """Where a file is no well-formed XML, in plain words; empty if it is."""
+    try:
+        ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        line, column = error.position
+        what = expat.ErrorString(error.code)
+        if error.code == _MISMATCHED_TAG:
+            what = f"an element before it is not closed: each <body> needs a </body> ({what})"
+        return f"no well-formed XML, line {line}, column {column}: {what}"
+    except (OSError, ValueError, LookupError):
+        return ""
+    return ""
 
 
 def is_description_name(name: str) -> bool:

@@ -12,6 +12,7 @@ from armctl.loading.catalog import Source
 from armctl.loading.chain import chain_to, end_note, find_chain
 from armctl.loading.limits import JointData, datasheet_limits, torque_limits
 from armctl.loading.tip import Tip, axis_note, named_tip, tip_of_chain
+from armctl.loading.unit_checks import unit_doubts
 from armctl.loading.urdf import speed_limits
 from armctl.mjmodel.dc_motor import DcMotor
 from armctl.mjmodel.queries import Joints, body_name, body_named, is_below, joint_name
@@ -80,17 +81,25 @@ def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip
     transmissions = analysis.of_chain(joints)
     datasheet = speed_limits(source.urdf, model, transmissions) or datasheet_limits(source.row, len(transmissions))
     motors = dc_motors(source, model, transmissions)
-    torques = torque_limits(model, transmissions, datasheet, motors)
+    torques = torque_limits(model, transmissions, datasheet, motors, "actfrcrange" if source.urdf is None else "URDF effort")
     warned, quiet = actuator_notes(analysis, joints, transmissions, motors)
+    driven = tuple(joint for joint in joints if joint not in analysis.springs)
+    doubts = unit_doubts(model, driven, tip.body, tip.T_body_tip.position)
     return ArmPlan(
-        joints=tuple(joint for joint in joints if joint not in analysis.springs),
+        joints=driven,
         transmissions=transmissions,
         dc_motors=motors,
         tip=tip,
         datasheet=datasheet,
         tau_max=torques.tau_max,
         tau_source=torques.source,
-        notes=(*torques.notes, *warned, *end_note(analysis, joints), *(axis_note(model, joints, tip) if chosen else [])),
+        notes=(
+            *doubts,
+            *torques.notes,
+            *warned,
+            *end_note(analysis, joints),
+            *(axis_note(model, joints, tip) if chosen else []),
+        ),
         quiet_notes=tuple(quiet),
     )
 

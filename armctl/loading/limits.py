@@ -13,7 +13,7 @@ from armctl.core.validation import Array, shown
 from armctl.loading.datasheets import Row
 from armctl.mjmodel.couplings import tendon_coefficients
 from armctl.mjmodel.dc_motor import DcMotor
-from armctl.mjmodel.queries import joint_name, joint_range
+from armctl.mjmodel.queries import actuator_name, joint_name, joint_range
 from armctl.mjmodel.transmissions import Mimic, Transmission
 from armctl.robot.joint_map import JointMap
 
@@ -55,7 +55,11 @@ def datasheet_limits(row: Row | None, n: int) -> JointData | None:
 
 
 def torque_limits(
-    model: mujoco.MjModel, transmissions: Sequence[Transmission], datasheet: JointData | None, motors: Sequence[DcMotor | None]
+    model: mujoco.MjModel,
+    transmissions: Sequence[Transmission],
+    datasheet: JointData | None,
+    motors: Sequence[DcMotor | None],
+    joint_limit: str = "actfrcrange",  # what the file calls the joint's own limit
 ) -> TorqueLimits:
     """The torque limits of an arm's joints in a model as compiled from its file, with its own actuators.
 
@@ -68,7 +72,7 @@ def torque_limits(
     notes: tuple[str, ...] = ()
     for i, (transmission, motor) in enumerate(zip(transmissions, motors, strict=True)):
         stall = [] if motor is None else [("stall torque", (-motor.stall_torque, motor.stall_torque))]
-        for source, (low, high) in [*_torque_ranges(model, transmission), *stall]:
+        for source, (low, high) in [*_torque_ranges(model, transmission, joint_limit), *stall]:
             bound = min(-low, high)
             if bound <= 0:
                 name = shown(joint_name(model, transmission.joint))
@@ -81,6 +85,9 @@ def torque_limits(
         tau[unknown] = datasheet.tau_max[unknown]
         sources.add(datasheet.source)
     elif unknown.any():
+        for i in np.flatnonzero(unknown).tolist():
+            _check_sum_is_known(model, transmissions[i])
+            _check_voltage_is_known(model, transmissions[i], motors[i])
         published = None if datasheet is None else datasheet.v_max
         v_max = default_speeds(model, transmissions) if published is None else published
         tau[unknown] = _assumed_torque(model, transmissions, v_max)[unknown]
@@ -150,23 +157,71 @@ def default_speeds(model: mujoco.MjModel, transmissions: Sequence[Transmission])
     )
 
 
-def _torque_ranges(model: mujoco.MjModel, transmission: Transmission) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Each limit of the model on a joint's torque: its name in MJCF, and (low, high) N m."""
-    actuator = transmission.actuator
-    gear = transmission.gear
+def _torque_ranges(
+    model: mujoco.MjModel, transmission: Transmission, joint_limit: str
+) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Each limit of the model on a joint's torque: its name in MJCF, and (low, high) N m.
+
+    Where several actuators act on the joint, their torques add.
+    """
+    gears = {transmission.actuator: transmission.gear, **transmission.added}
     name = shown(joint_name(model, transmission.joint))
-    if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_MUSCLE:
-        raise ModelError(f"joint {name} is driven by a muscle, which pulls in one direction only; an arm needs motors")
-    if gear == 0:
-        raise ModelError(f"joint {name}: its actuator has a gear of 0 and cannot move it")
-    if model.actuator_forcelimited[actuator]:
-        yield "forcerange", _scaled(gear, model.actuator_forcerange[actuator])
+    for actuator, gear in gears.items():
+        if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_MUSCLE:
+            raise ModelError(f"joint {name} is driven by a muscle, which pulls in one direction only; an arm needs motors")
+        if gear == 0:
+            raise ModelError(f"joint {name}: its actuator has a gear of 0 and cannot move it")
+    ranges = [torque_range(model, actuator, gear) for actuator, gear in gears.items()]
+    if all(source for source, _, _ in ranges):
+        source = ", ".join(sorted({source for source, _, _ in ranges}))
+        yield source, (sum(low for _, low, _ in ranges), sum(high for _, _, high in ranges))
     for joint, moment in transmission.moments.items():
         if model.jnt_actfrclimited[joint]:
-            yield "actfrcrange", _scaled(gear / moment, model.jnt_actfrcrange[joint])
+            yield joint_limit, _scaled(transmission.gear / moment, model.jnt_actfrcrange[joint])
+
+
+def torque_range(model: mujoco.MjModel, actuator: int, gear: float) -> tuple[str, float, float]:
+    """The torque that one actuator can give to its joint: what limits it in MJCF ("" if nothing does), low and high, N m."""
+    found: list[tuple[str, tuple[float, float]]] = []
+    if model.actuator_forcelimited[actuator]:
+        found.append(("forcerange", _scaled(gear, model.actuator_forcerange[actuator])))
     control = model.actuator_ctrladr[actuator]
     if is_motor(model, actuator) and model.actuator_ctrllimited[control]:
-        yield "ctrlrange", _scaled(gear * float(model.actuator_gainprm[actuator, 0]), model.actuator_ctrlrange[control])
+        found.append(
+            ("ctrlrange", _scaled(gear * float(model.actuator_gainprm[actuator, 0]), model.actuator_ctrlrange[control]))
+        )
+    low = max((bounds[0] for _, bounds in found), default=-np.inf)
+    high = min((bounds[1] for _, bounds in found), default=np.inf)
+    least = min(-low, high)
+    return (
+        next((source for source, bounds in found if min(-bounds[0], bounds[1]) <= least), found[0][0] if found else ""),
+        low,
+        high,
+    )
+
+
+def _check_sum_is_known(model: mujoco.MjModel, transmission: Transmission) -> None:
+    """Refuses actuators on the same joint of which some have a torque limit and others have none."""
+    gears = {transmission.actuator: transmission.gear, **transmission.added}
+    is_known = {actuator: bool(torque_range(model, actuator, gear)[0]) for actuator, gear in gears.items()}
+    if not any(is_known.values()):
+        return
+    named = " and ".join(shown(actuator_name(model, actuator)) for actuator in gears)
+    unlimited = " and ".join(shown(actuator_name(model, actuator)) for actuator, known in is_known.items() if not known)
+    raise ModelError(
+        f"joint {shown(joint_name(model, transmission.joint))} is moved by {named}, and {unlimited} without a torque limit: "
+        "the sum is unknown; write a forcerange, or actuatorfrcrange at the joint, or delete all but one of them"
+    )
+
+
+def _check_voltage_is_known(model: mujoco.MjModel, transmission: Transmission, motor: DcMotor | None) -> None:
+    """Refuses a DC motor without a voltage: its torque at rest is unknown."""
+    if motor is not None and not np.isfinite(motor.voltage):
+        name = shown(actuator_name(model, transmission.actuator))
+        raise ModelError(
+            f"the dcmotor {name} has no voltage, so its torque is unknown; MuJoCo keeps no nominal voltage in a specification "
+            'or a model: load the file itself, or write ctrlrange="-24 24" (V), or a forcerange'
+        )
 
 
 def is_motor(model: mujoco.MjModel, actuator: int) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from armctl.core.validation import Array, BoolArray
 from armctl.loading.home import home_qpos
-from armctl.loading.urdf import MIN_MASS_KG
+from armctl.loading.inertias import MIN_MASS_KG
 from armctl.mjmodel.queries import Joints, body_name, colliding_geoms, joint_range, object_id, robot_roots
 
 _RANDOM_CONFIGURATIONS = 20

@@ -25,6 +25,7 @@ from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
 from armctl.loading.describe import ArmEnds, ArmPlan, describe_arms, find_ends
 from armctl.loading.home import home_qpos, remove_free_joints
+from armctl.loading.inertias import corrected_model
 from armctl.loading.link_shapes import fixed_without_shape, names_of, unchecked_links
 from armctl.loading.model_checks import check_joint_parameters, check_mass_matrix, check_memory, check_timestep, model_notes
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
@@ -272,7 +273,7 @@ def _loaded(
                 raise InputError(
                     f"{what}: a compiled MjModel cannot be changed in this way; pass the MjSpec or the path of the file"
                 )
-        model: mujoco.MjModel = robot
+        model, corrections = corrected_model(robot)
         source = Source(model.names[: model.names.index(b"\0")].decode(errors="replace") or "model", None)
         with _naming(source.name):
             check_timestep(model)
@@ -282,8 +283,8 @@ def _loaded(
             prepared = make_arm_model_from_compiled(analysis, plans)
         unchecked = unchecked_links(model, _joints(plans))
         prepared = _with_shape_notes(prepared, model, _joints(plans), unchecked)
-        return _arms(source.name, prepared, model_notes(model), None)
-    kept = locate(robot).read().spec if isinstance(robot, mujoco.MjSpec) else robot
+        return _arms(source.name, prepared, [*corrections, *model_notes(model)], None)
+    kept = locate(robot).copied_spec() if isinstance(robot, mujoco.MjSpec) else robot
     recipe = _Recipe(kept, tuple(ends), hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
     return _arms(*recipe.prepared(), recipe)
 

@@ -9,8 +9,8 @@ import numpy as np
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array, IntArray, shown
 from armctl.mjmodel.dc_motor import TORQUE_COMMAND, DcMotor, is_dc_motor, set_current_controller, state_count
-from armctl.mjmodel.queries import actuator_name
-from armctl.mjmodel.transmissions import Transmission, Transmissions, generalized_gear
+from armctl.mjmodel.queries import ACTUATOR_GROUPS, actuator_name
+from armctl.mjmodel.transmissions import Transmission, Transmissions
 
 _IDLE_FORCE = 1e-12  # range of an actuator that another one replaces; MuJoCo refuses an empty range
 _SHORT_STEP_S = 5e-5
@@ -135,7 +135,7 @@ def _motors_of(
         for actuator in analysis.acting_on(set(transmission.coupled)):
             if not analysis.model.actuator_ctrlnum[actuator]:
                 continue
-            gear = abs(generalized_gear(analysis.moments[actuator], transmission.coupled)) or 1.0
+            gear = abs(analysis.gear_of(actuator, transmission.coupled)) or 1.0
             bound = torque / gear if actuator == transmission.actuator else _IDLE_FORCE
             yield transmission, actuator, gear, bound
 
@@ -158,7 +158,7 @@ def _in_blocks(values: list[float], first: IntArray, count: IntArray, changed: d
 def _enable_actuators(option: mujoco.MjOption, groups: set[int]) -> bool:
     """Lets the actuators of some groups act; returns whether the options had disabled them."""
     flag = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
-    bits = sum(1 << group for group in groups if 0 <= group < 31)
+    bits = sum(1 << group for group in groups if 0 <= group < ACTUATOR_GROUPS)
     disabled = bool(option.disableflags & flag or option.disableactuator & bits)
     option.disableflags &= ~flag
     option.disableactuator &= ~bits

@@ -56,7 +56,10 @@ def make_arm_model(
         neighbors = overlapping_neighbors(original, plan.joints)
         for first, second in neighbors:
             spec.add_exclude(bodyname1=first, bodyname2=second)
-            excluded.append(f"contact of {first} with {second} left out: neighbours that overlap at home")
+            excluded.append(
+                f"contact of {first} with {second} left out: neighbours that overlap at home; in MuJoCo alone their friction "
+                "brakes the joint"
+            )
         for first, second in unavoidable_contacts(original, plan.joints):
             if (first, second) not in neighbors:
                 spec.add_exclude(bodyname1=first, bodyname2=second)

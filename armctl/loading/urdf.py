@@ -1,4 +1,4 @@
-"""What MuJoCo leaves out of a URDF: motors, speed limits, and meshes that it does not find; and corrected inertias."""
+"""What MuJoCo leaves out of a URDF: motors, speed limits, and meshes that it does not find."""
 
 import copy
 import math
@@ -11,21 +11,17 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.core.validation import Array
+from armctl.core.validation import shown
+from armctl.loading.inertias import correct_inertias, inferred_inertias
 from armctl.loading.limits import JointData, default_speed
 from armctl.loading.urdf_file import UrdfFile
 from armctl.mjmodel.queries import joint_name
 from armctl.mjmodel.transmissions import Transmission
 
 _RIGID = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's solimp
+_MAX_NAMED_MESHES = 6  # in a note
 _READABLE = (".stl", ".obj", ".msh")
 _DENSITY_KG_M3 = 1000.0
-# Of a moving link without any: a ball of 1 g with a radius of 5 cm.
-MIN_MASS_KG = 1e-3
-MIN_INERTIA_KG_M2 = 1e-6
-_MIN_RELATIVE_SPREAD = 1e-7  # of the greatest second moment: MuJoCo refuses an inertia at the limit of what is possible
-
-_NO_INERTIA = (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0)  # no full inertia, as MuJoCo writes it
 
 
 class Description(NamedTuple):
@@ -52,7 +48,7 @@ def read_urdf(file: UrdfFile, *, visual: bool = False) -> Description:
     spec.compiler.fusestatic = False
     notes, unread = _find_meshes(spec, file.path, root)
     unread |= _only_drawn(spec, root)
-    notes = [*file.notes, *notes, *correct_inertias(spec)]
+    notes = [*file.notes, *notes, *correct_inertias(spec), *inferred_inertias(spec)]
     followers = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
     for mimic in spec.equalities:  # as rigid as MuJoCo allows: a URDF's mimic joints do not give way
         mimic.solref = (2 * spec.option.timestep, 1.0)
@@ -165,9 +161,11 @@ def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> 
         spec.delete(mesh)
     notes = []
     for reason, files in left_out.items():
-        names = ", ".join(map(repr, dict.fromkeys(files)))
-        noun = "meshes" if "," in names else "mesh"
-        notes.append(f"collision {noun} {names:.120} left out: {reason:.240}")
+        different = [shown(file) for file in dict.fromkeys(files)]
+        more = f" and {len(different) - _MAX_NAMED_MESHES} more" if len(different) > _MAX_NAMED_MESHES else ""
+        noun = "mesh" if len(different) == 1 else "meshes"
+        names = ", ".join(different[:_MAX_NAMED_MESHES])
+        notes.append(f"collision {noun} {names}{more} left out: {reason:.240}")
     return notes, bodies
 
 
@@ -193,61 +191,3 @@ def _locate(path: Path, name: str) -> Path | None:
     candidates = [path.parent / direct, path.parent / direct.name]
     candidates += [folder / tail for folder in path.resolve().parents for tail in tails]
     return next((candidate for candidate in candidates if candidate.is_file()), None)
-
-
-def correct_inertias(spec: mujoco.MjSpec) -> list[str]:
-    """Gives every link the nearest inertia that a body can have, and moving links without a mass a small one, with notes."""
-    unphysical = [body.name for body in spec.bodies if body.explicitinertial and _correct_inertia(body)]
-    moving = {body.name: _welded(body) for body in spec.bodies if body.joints}
-    massless = [name for name, parts in moving.items() if not any(map(_has_mass, parts))]
-    inferred = [part.name for parts in moving.values() for part in parts if not part.explicitinertial and part.geoms]
-    for name in massless:
-        body = moving[name][0]
-        body.explicitinertial = True
-        body.mass = max(body.mass, MIN_MASS_KG)
-        body.ipos = np.nan_to_num(body.ipos)
-        body.inertia = np.full(3, MIN_INERTIA_KG_M2)
-        body.fullinertia = _NO_INERTIA
-    sentences = {
-        "the inertia of {} is one that no body has: armctl uses the nearest possible one": unphysical,
-        f"no mass or inertia given for {{}}: {MIN_MASS_KG:g} kg and {MIN_INERTIA_KG_M2:g} kg m^2 at least are used": massless,
-        "no inertial given for {}: mass and inertia are those of the collision shapes at 1000 kg/m^3": inferred,
-    }
-    return [sentence.format(", ".join(names)) for sentence, names in sentences.items() if names]
-
-
-def nearest_inertia(inertia: Array) -> Array:
-    """The nearest inertia (3, 3) that a distribution of mass has: its moments positive, the sum of two at least the third.
-
-    Nearest by the second moments of mass, `trace(I)/2 - I`, which must have no negative eigenvalue.
-    """
-    spread, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
-    floor = _MIN_RELATIVE_SPREAD * np.abs(spread).max()
-    if spread[0] >= 0.0 and spread[0] + spread[1] > floor:  # the latter is the least moment
-        return inertia
-    spread = np.maximum(spread, floor)
-    return axes @ np.diag(spread.sum() - spread) @ axes.T
-
-
-def _correct_inertia(body: mujoco.MjsBody) -> bool:
-    """Makes a link's inertia physically possible; returns whether that changed it."""
-    xx, yy, zz, xy, xz, yz = body.fullinertia
-    if np.isnan(xx):
-        return False
-    given = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if np.abs(given).max() <= mujoco.mjMINVAL:
-        body.fullinertia = _NO_INERTIA
-        return False
-    near = nearest_inertia(given)
-    body.fullinertia = (*near.diagonal(), near[0, 1], near[0, 2], near[1, 2])
-    return near is not given
-
-
-def _has_mass(body: mujoco.MjsBody) -> bool:
-    if not body.explicitinertial:
-        return bool(body.geoms)
-    return body.mass > mujoco.mjMINVAL and body.fullinertia[0] > mujoco.mjMINVAL
-
-
-def _welded(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-    return [body] + [part for child in body.bodies if not child.joints for part in _welded(child)]

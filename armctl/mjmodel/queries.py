@@ -10,10 +10,13 @@ from armctl.core.validation import Array, BoolArray
 
 # As numbers: `numpy.int32(3) in (mjtJoint.mjJNT_HINGE,)` is False, although the two compare equal with ==.
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+_LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 DISABLES_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _MAX_CONTACTS = 64  # whose forces are read: more take longer than a control period
+ACTUATOR_GROUPS = 31  # that options can disable
 _UNLIMITED_TRAVEL_M = 1000.0  # of a sliding joint; no axis of a robot is that long
 
 Joints = tuple[int, ...]
@@ -80,6 +83,22 @@ def is_damper(model: mujoco.MjModel, actuator: int) -> bool:
         return True
     affine = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_AFFINE
     return affine and not model.actuator_gainprm[actuator, :2].any() and not model.actuator_biasprm[actuator].any()
+
+
+def is_powerless(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether the force of an actuator is always zero, such as that of a servo whose gains are 0 in the file."""
+    if not model.actuator_gear[actuator].any():
+        return True
+    is_linear = model.actuator_gaintype[actuator] in _LINEAR_GAINS and model.actuator_biastype[actuator] in _LINEAR_BIASES
+    if not is_linear or model.actuator_plugin[actuator] >= 0:
+        return False
+    return not model.actuator_gainprm[actuator].any() and not model.actuator_biasprm[actuator].any()
+
+
+def is_disabled(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether the model's options disable the group of an actuator."""
+    group = int(model.actuator_group[actuator])
+    return 0 <= group < ACTUATOR_GROUPS and bool(model.opt.disableactuator >> group & 1)
 
 
 def joint_actuators(model: mujoco.MjModel) -> dict[int, int]:

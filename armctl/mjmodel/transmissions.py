@@ -4,7 +4,7 @@ Joints that equalities couple at fixed ratios (a mimic joint, a pair of fingers 
 freedom, and an arm counts them as one joint. MuJoCo's equalities are soft constraints; armctl takes them as rigid.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import mujoco
@@ -13,8 +13,21 @@ import numpy as np
 from armctl.core.errors import ModelError
 from armctl.core.validation import shown
 from armctl.mjmodel.couplings import Couplings, tendon_coefficients
-from armctl.mjmodel.queries import SCALAR, Joints, actuator_name, is_damper, is_on_joint, joint_actuators, joint_name, name_of
+from armctl.mjmodel.queries import (
+    SCALAR,
+    Joints,
+    actuator_name,
+    is_damper,
+    is_disabled,
+    is_on_joint,
+    is_powerless,
+    joint_actuators,
+    joint_name,
+    name_of,
+)
 from armctl.mjmodel.spring_joints import spring_joints
+
+_PARALLEL = 1e-9  # of the cosine between the moments of two actuators
 
 
 @dataclass(frozen=True)
@@ -33,6 +46,9 @@ class Transmission:
     actuator: int
     moments: dict[int, float]  # torque on each joint that the actuator acts on, per unit of actuator force, N m
     coupled: dict[int, Mimic]  # the joints that move as one with this one, itself first, and how they follow it
+    # Further actuators on the same joints, whose moments are multiples of these, and the gear of each: one motor replaces all
+    added: dict[int, float] = field(default_factory=dict)
+    idle: tuple[int, ...] = ()  # actuators that the file switches off: by their gains, or by the options for their group
 
     @property
     def gear(self) -> float:
@@ -88,10 +104,14 @@ class Transmissions:
 
     @cached_property
     def actuators(self) -> dict[int, int]:
-        """The actuator of each joint that has one, acting directly or through coupled joints."""
+        """The leading actuator of each joint that has one, acting directly or through coupled joints."""
         found = [self.of(joint) for joint in range(self.model.njnt)]
         through = {each.joint: each.actuator for each in found if isinstance(each, Transmission)}
         return joint_actuators(self.model) | through
+
+    def gear_of(self, actuator: int, coupled: dict[int, Mimic]) -> float:
+        """Torque on the leading joint of coupled joints per unit of an actuator's force, N m."""
+        return generalized_gear(self.moments[actuator], coupled)
 
     @cached_property
     def springs(self) -> dict[int, int]:
@@ -109,18 +129,32 @@ class Transmissions:
         for other in coupled:
             if reason := self._couplings.reason(other, frozenset(coupled)):
                 return reason
-        drives: dict[tuple[int, ...], Transmission] = {}
-        for actuator in self.acting_on(set(coupled)):
-            if not is_damper(model, actuator):
-                moments = self.moments[actuator]
-                drives.setdefault(tuple(moments), Transmission(joint, actuator, moments, coupled))
-        if len(drives) == 1:
-            return drives.popitem()[1]
+        driving, idle = self._driving(coupled)
         others = ", ".join(shown(joint_name(model, j)) for j in coupled if j != joint)
-        if drives:
-            names = " and ".join(shown(actuator_name(model, drive.actuator)) for drive in drives.values())
+        if not driving:
+            return f"joint {name} has no actuator of its own" + (
+                f", nor has {others}, tied to it by equalities" if others else ""
+            )
+        first, *added = driving
+        names = " and ".join(shown(actuator_name(model, actuator)) for actuator in driving)
+        if any(not _are_parallel(self.moments[first], self.moments[other]) for other in added):
             return f"joint {name} and {others} are tied to each other by equalities, yet several actuators move them: {names}"
-        return f"joint {name} has no actuator of its own" + (f", nor has {others}, tied to it by equalities" if others else "")
+        if reason := _why_not_one_motor(model, driving):
+            return f"joint {name} is moved by {names}, and {reason}: one motor cannot replace them; delete all but one of them"
+        gears = {actuator: self.gear_of(actuator, coupled) for actuator in added}
+        return Transmission(joint, first, self.moments[first], coupled, gears, tuple(idle))
+
+    def _driving(self, coupled: dict[int, Mimic]) -> tuple[list[int], list[int]]:
+        """The actuators that drive coupled joints, and those that are switched off.
+
+        One that cannot give a force, or whose group the model's options disable, counts only if there is no other.
+        """
+        model = self.model
+        present = [actuator for actuator in self.acting_on(set(coupled)) if not is_damper(model, actuator)]
+        driving = present
+        for is_off in (is_powerless, is_disabled):
+            driving = [actuator for actuator in driving if not is_off(model, actuator)] or driving
+        return driving, [actuator for actuator in present if actuator not in driving]
 
     def _coupled_with(self, joint: int) -> dict[int, Mimic] | str:
         """The joints that equalities couple to one at fixed ratios; the reason if a ratio is not fixed."""
@@ -165,6 +199,28 @@ def moments_of(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
         return {}
     return {joint: gear * coefficient for joint, coefficient in tendon_coefficients(model, target).items()}
+
+
+def _are_parallel(moments: dict[int, float], others: dict[int, float]) -> bool:
+    """Whether one actuator can replace another: their moments on all joints have the same ratio."""
+    if moments.keys() != others.keys():
+        return False
+    a = np.array(list(moments.values()))
+    b = np.array([others[joint] for joint in moments])
+    return bool(abs(a @ b) >= (1.0 - _PARALLEL) * np.linalg.norm(a) * np.linalg.norm(b))
+
+
+def _why_not_one_motor(model: mujoco.MjModel, actuators: list[int]) -> str:
+    """Why the forces of several actuators on the same joint do not add to that of one motor; empty if they do."""
+    if len(actuators) == 1:
+        return ""
+    if any(model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR for actuator in actuators):
+        return "the torque of a dcmotor falls with the speed"
+    if any(model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_MUSCLE for actuator in actuators):
+        return "a muscle pulls in one direction only"
+    if len(set(model.actuator_delay[actuators].tolist())) > 1:
+        return "their delays differ"
+    return ""
 
 
 def _why_not_linear(model: mujoco.MjModel, equality: int) -> str:

@@ -115,7 +115,7 @@ def test_an_arm_with_dry_friction_and_assumed_torques_moves(load):
     assert armctl.Simulation(arm).move_j(arm.home + 0.3).ok
 
 
-@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator|no mass|the arm ends)")
+@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator|no mass|no inertia|the arm ends)")
 def test_an_inertial_without_inertia_keeps_its_mass_with_a_warning(load):
     text = re.sub("<inertia .*?/>", "", ROBOT, count=1)
     with pytest.warns(armctl.ArmctlWarning, match="the inertial of one has no mass or no inertia"):
@@ -123,7 +123,7 @@ def test_an_inertial_without_inertia_keeps_its_mass_with_a_warning(load):
     assert arm.model.body("one").mass == pytest.approx(1.0)
 
 
-@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator|no mass|the arm ends)")
+@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator|no mass|no inertia|the arm ends)")
 def test_joints_without_actuators_get_motors_with_a_warning(load):
     with pytest.warns(armctl.ArmctlWarning, match="no actuator in the file moves a, b, c: armctl added motors"):
         arm = load(mjcf(limb("a b c")), "r.xml")
@@ -131,7 +131,7 @@ def test_joints_without_actuators_get_motors_with_a_warning(load):
     assert armctl.Simulation(arm, "computed-torque").move_j(arm.home + 0.2).ok
 
 
-@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator|no mass|the arm ends)")
+@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator|no mass|no inertia|the arm ends)")
 def test_only_a_file_without_any_actuator_gets_motors(load):
     assert load(mjcf(limb("a b c"), motors("a b")), "r.xml").joint_names == ("a", "b")
 
@@ -140,7 +140,7 @@ MOCAP = '<body name="hand target" mocap="true" pos="0 0 1"/>'
 WELD = '<equality><weld body1="hand target" body2="C"/></equality>'
 
 
-@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator|no mass|the arm ends)")
+@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator|no mass|no inertia|the arm ends)")
 def test_an_arm_welded_to_a_mocap_body_is_moved_by_motors_instead(load):
     finger = '<body name="F"><joint name="f" type="slide" range="0 0.04"/><geom size="0.01"/></body>'
     text = mjcf(limb("a b c", finger) + MOCAP, WELD + motors("f"))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from synthetic import FIRST, INERTIA, JOINT, LIMIT, LINK, MESH, SECOND, THIRD, TOOL, urdf
 
 import armctl
-from armctl.loading.urdf import MIN_INERTIA_KG_M2, MIN_MASS_KG, nearest_inertia
+from armctl.loading.inertias import MIN_INERTIA_KG_M2, MIN_MASS_KG, nearest_inertia
 from armctl.robot.parity import PARITY_TOLERANCE, check_parity
 
 TRANSMISSIONS = "".join(f'<transmission name="t{j}"><joint name="{j}"/></transmission>' for j in ("j1", "j2"))
