@@ -43,8 +43,9 @@ def describe(arm: Arm) -> str:
     limits = arm.limits
     width = max(5, *map(len, arm.joint_names))
     tip = ", ".join(f"{x:.4f}" for x in data["tip_at_home"])
+    noun = "joint" if arm.n == 1 else "joints"
     lines = [
-        f"{arm.name}: {arm.n} joints, {data['mass_kg']:.2f} kg moving, tip {arm.tip!r} at [{tip}] m at home",
+        f"{arm.name}: {arm.n} {noun}, {data['mass_kg']:.2f} kg moving, tip {arm.tip!r} at [{tip}] m at home",
         f"{'joint':{width}} {'home':>8} {'q_min':>8} {'q_max':>8} {'v_max':>8} {'a_max':>8} {'j_max':>8} {'tau_max':>8}",
     ]
     columns = (arm.home, limits.q_min, limits.q_max, limits.v_max, limits.a_max, limits.j_max, limits.tau_max)

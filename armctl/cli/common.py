@@ -119,6 +119,18 @@ def load_arm(args: argparse.Namespace) -> Arm:
     return load(args.robot, **ends, tool=args.tool, scene=args.scene, srdf=args.srdf, shapes=args.shapes)
 
 
+def load_arm_with_notes(args: argparse.Namespace) -> Arm:
+    """As `load_arm`, for a command whose text contains all notes of the arm: they are not shown as warnings too."""
+    import warnings
+
+    from armctl.core.errors import ArmctlWarning
+
+    with warnings.catch_warnings():
+        if not args.json:
+            warnings.simplefilter("ignore", ArmctlWarning)
+        return load_arm(args)
+
+
 def numbers(what: str, words: Sequence[str]) -> list[float]:
     """Finite numbers from words; InputError if a word is no number."""
     from armctl.core.validation import vector

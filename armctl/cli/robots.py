@@ -54,7 +54,7 @@ def list_chains(args: argparse.Namespace) -> int:
 def show_info(args: argparse.Namespace) -> int:
     from armctl.analysis.describe import describe, facts
 
-    arm = common.load_arm(args)
+    arm = common.load_arm_with_notes(args)
     common.print_result(args, describe(arm), facts(arm))
     return common.DONE
 

@@ -24,13 +24,13 @@ def run(args: argparse.Namespace) -> int:
 
     if args.plot is not None and args.plot.suffix and not args.plot.is_dir():
         file_path("plot", args.plot, ENDINGS)
-    log = Simulation(common.load_arm(args)).apply_ctrl(
-        common.numbers("ctrl", args.ctrl), common.one_number("seconds", args.seconds)
-    )
+    arm = common.load_arm_with_notes(args)
+    log = Simulation(arm).apply_ctrl(common.numbers("ctrl", args.ctrl), common.one_number("seconds", args.seconds))
     columns = {"q": log.q, "v": log.v, "tau": log.tau}
     joints = {k: dict(zip(log.joint_names, column[-1].round(6).tolist(), strict=True)) for k, column in columns.items()}
     last = {"t": log.t[-1], **joints, "tip": log.tip[-1].round(6).tolist()}
-    common.print_result(args, describe_end(log), last, log.failure)
+    lines = [describe_end(log), *(f"note: {note}" for note in arm.notes)]
+    common.print_result(args, "\n".join(lines), last | {"notes": list(arm.notes)}, log.failure)
     if args.plot:
         picture = args.plot if args.plot.suffix in ENDINGS else args.plot / f"{args.robot.replace('/', '_')}.png"
         four_panels(log, picture)
