@@ -13,7 +13,7 @@ from armctl.robot.parity import check_parity
 RANGES = {
     "a hinge beyond pi": 'axis="0 0 1" range="3.5 6"',
     "a hinge below -pi": 'axis="0 0 1" range="-6 -3.5"',
-    "a hinge with many turns": 'axis="0 0 1" range="10 40"',
+    "a hinge with many turns": 'axis="0 0 1" range="12.566 37.699"',
     "a slide far from zero": 'type="slide" axis="1 0 0" range="4 6"',
     "a slide far below zero": 'type="slide" axis="1 0 0" range="-6 -4"',
 }

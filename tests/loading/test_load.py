@@ -102,7 +102,6 @@ BROKEN = {
     "unknown element": mjcf("<boddy/>"),
     "missing mesh": mjcf('<geom type="mesh" mesh="m"/>', '<asset><mesh name="m" file="nowhere.stl"/></asset>'),
     "missing include": '<mujoco><include file="nowhere.xml"/></mujoco>',
-    "massless": mjcf('<body><joint name="a"/></body>'),
     "unknown joint": mjcf(limb("a"), '<actuator><motor joint="b"/></actuator>'),
 }
 
