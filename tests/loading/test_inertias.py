@@ -83,7 +83,7 @@ def test_a_possible_inertia_stays_as_it_is_written(recwarn):
     text = of_mjcf('<inertial pos="0 0 0.1" mass="3" diaginertia="0.066 0.086 0.0325"/>')
     arm = armctl.load(mujoco.MjSpec.from_string(text))
     assert np.sort(arm.model.body("A").inertia) == pytest.approx([0.0325, 0.066, 0.086], rel=1e-12)
-    assert not recwarn.list
+    assert not [each for each in recwarn.list if "inertia" in str(each.message)]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from synthetic import limb, mjcf, motors
 
 import armctl
+from armctl.core.errors import MissingShapeWarning
 
 
 def of_ranges(*ranges: str, angle: str = "radian") -> str:
@@ -72,6 +73,7 @@ def test_radians_taken_as_degrees_are_doubted(ranges: tuple[str, ...]):
 def test_usual_ranges_are_not_doubted(form: str):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("ignore", MissingShapeWarning)
         armctl.load(mujoco.MjSpec.from_string(of_ranges(*USUAL[form])))
 
 
@@ -87,4 +89,5 @@ def test_a_urdf_in_degrees_or_millimetres_is_doubted(tmp_path, length: float, up
     path.write_text(of_urdf(0.3))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("ignore", MissingShapeWarning)
         armctl.load(path)
