@@ -27,8 +27,8 @@ def unit_doubts(model: mujoco.MjModel, joints: Sequence[int], tip_body: int, tip
     Args:
         model: The compiled model.
         joints: The arm's joints, from the base to the tip.
-        tip_body: The body of the tip.
-        tip_offset: (3,) the tip in that body, m.
+        tip_body: The body in whose frame `tip_offset` is given.
+        tip_offset: (3,) the position of the tip there, m.
     """
     return [*_degrees(model, joints), *_small_ranges(model, joints), *_millimetres(model, joints, tip_body, tip_offset)]
 
