@@ -36,8 +36,6 @@ class LoopMargins(Verdict):
     Attributes:
         ok: Whether the closed loop is stable.
         delay_margin: s, the smallest additional delay that makes it unstable; infinite if there is none.
-        gain_margin: The factor on all torques that makes it unstable: the lower or the upper one, whichever is nearer to 1 as a
-            ratio; NaN if it was not computed.
         lower_gain_margin: The largest factor below 1 that makes it unstable, as where a motor saturates; 0 below 0.01.
         upper_gain_margin: The smallest factor above 1 that makes it unstable; infinite above 100.
         phase_margin: rad, the smallest phase shift, lag or lead, that makes it unstable; infinite if there is none.
@@ -57,6 +55,10 @@ class LoopMargins(Verdict):
 
     @property
     def gain_margin(self) -> float:
+        """The factor on all torques that makes it unstable: the lower or the upper one, whichever is nearer to 1 as a ratio.
+
+        NaN if it was not computed.
+        """
         lower = self.lower_gain_margin
         return lower if lower * self.upper_gain_margin > 1.0 else self.upper_gain_margin
 

@@ -364,7 +364,7 @@ def test_an_arm_is_forgotten_after_its_last_use(use):
 def test_two_plants_of_the_same_kind_are_two_results(bundled: Arm):
     motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.2)
     weak, strong = (Plant(coulomb_friction=friction) for friction in (0.01, 0.05))
-    first, second = armctl.compare(bundled, ["pd"], motion, [weak, strong])
+    first, second = armctl.compare(bundled, ["pd"], motion, [weak, strong], dwell=0.25)
     assert [first.plant, second.plant] == [str(weak), str(strong)]
     assert not np.array_equal(first.log.q, second.log.q)
     equal = armctl.simulate(bundled, "pd", motion, Plant(coulomb_friction=0.01))
