@@ -59,9 +59,9 @@ class Report(Verdict):
         delay_margin_s: The smallest delay margin of the controller on the plant; NaN unless `compare` computed margins.
         peak_sensitivity: Its largest Ms; NaN as for the delay margin.
         damping_ratio: That of its least damped vibration, likewise; infinite if there is none.
-        slowest_pole_per_s: 1/s, the lowest rate with which an error decays, by the controller's slowest pole; NaN likewise.
         residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
             rests.
+        slowest_pole_per_s: 1/s, the lowest rate with which an error decays, by the controller's slowest pole; NaN as for the delay margin.
     """
 
     ok: bool
