@@ -61,7 +61,7 @@ class Report(Verdict):
         damping_ratio: That of its least damped vibration, likewise; infinite if there is none.
         residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
             rests.
-        slowest_pole_per_s: 1/s, the lowest rate with which an error decays, by the controller's slowest pole; NaN as for the delay margin.
+        slowest_pole_per_s: 1/s, the lowest rate with which an error decays, by its slowest pole; NaN as for the delay margin.
     """
 
     ok: bool
