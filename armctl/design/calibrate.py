@@ -331,7 +331,7 @@ def _outer_frames(chain: KinematicChain, q: Array, measured: Measurement) -> tup
         # A fixed sensor: R^T p + b = tip + R_tip offset. One on the hand: tip = marker - R_tip (R p + offset).
         turned = -tip.rotation if chain.on_hand else eye
         columns = np.concatenate([np.einsum("kij,kl->kijl", turned, p).reshape(-1, 3, 9), eye, -tip.rotation], axis=2)
-        found = np.linalg.lstsq(columns.reshape(-1, 15), tip.position.ravel())[0]
+        found = np.asarray(np.linalg.lstsq(columns.reshape(-1, 15), tip.position.ravel())[0], float)
         R = nearest_rotations(found[:9].reshape(3, 3))
         if chain.on_hand:
             return Pose(-found[9:12]), computed_pose(found[12:], R)
@@ -346,6 +346,6 @@ def _outer_frames(chain: KinematicChain, q: Array, measured: Measurement) -> tup
     sign = np.sign(np.linalg.det(first))
     R = nearest_rotations(sign * first)
     columns = np.concatenate([R @ tip.rotation, eye], axis=2).reshape(-1, 6)
-    found = np.linalg.lstsq(columns, (p - tip.position @ R.T).ravel())[0]
+    found = np.asarray(np.linalg.lstsq(columns, (p - tip.position @ R.T).ravel())[0], float)
     last = nearest_rotations(sign * Vt[0].reshape(3, 3, order="F")).T
     return computed_pose(found[3:], R), computed_pose(found[:3], last)

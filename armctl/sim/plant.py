@@ -326,7 +326,14 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
         model.body_inertia *= plant.mass_scale
     if plant.payload > 0.0:
         arm = arms[0]
-        add_payload(model, arm.tip_body, arm.T_body_tip, plant.payload, plant.payload_center, plant.payload_inertia)
+        add_payload(
+            model,
+            arm.tip_body,
+            arm.T_body_tip,
+            plant.payload,
+            np.asarray(plant.payload_center, float),
+            np.asarray(plant.payload_inertia, float),
+        )
     dofs = np.concatenate([arm.dof_adr for arm in arms])
     for what, column in (("coulomb_friction", model.dof_frictionloss), ("viscous_friction", model.dof_damping)):
         column[dofs] += per_joint(what, getattr(plant, what), arms)
