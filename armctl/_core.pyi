@@ -664,9 +664,11 @@ def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from
     the bounds.
     """
 
-def make_fastest(motion: numpy.ndarray, **arguments) -> None:
+def make_fastest(motion: numpy.ndarray, from_near: bool, **arguments) -> None:
     """
-    Replaces a motion through K waypoints by the fastest one; armctl/cpp/waypoint_timing.hpp explains the arguments.
+    Replaces a motion through K waypoints by the fastest one.
+
+    With from_near it is nearly that already. armctl/cpp/waypoint_timing.hpp explains the arguments.
     """
 
 class RrtConnect:

@@ -79,6 +79,7 @@ struct BarrierSchedule {
 // Minimizes from a feasible x, which is changed in place. A problem has the functions
 //     double cost(x, barrier)                                      infinite outside the bounds
 //     void add_derivatives(x, barrier, gradient, hessian)          to zeros; an infinite number on the diagonal holds an unknown
+//     void move(x, step, share, moved)                             by a share of a step, on any curve that begins along it
 template <class Problem>
 void minimize_with_barriers(const Problem& problem, Result x, size_t band_width, const BarrierSchedule& schedule) {
     constexpr int max_newton_steps = 30;
@@ -105,7 +106,7 @@ void minimize_with_barriers(const Problem& problem, Result x, size_t band_width,
             double share = 1.0;
             double trial_cost = INFINITE;
             for (int halving = 0; halving < max_halvings; ++halving) {
-                for (size_t k = 0; k < count; ++k) { trial[k] = x[k] + share * step[k]; }
+                problem.move(x, step, share, trial);
                 trial_cost = problem.cost(trial, barrier);
                 if (trial_cost < cost - sufficient_decrease * share * promise) { break; }
                 share *= 0.5;

@@ -102,6 +102,10 @@ public:
         });
     }
 
+    static void move(Vector c, Vector step, double share, Result moved) {
+        for (size_t k = 0; k < c.size(); ++k) { moved[k] = c[k] + share * step[k]; }
+    }
+
 private:
     // The duration comes from Simpson's rule in each interval.
     struct SimpsonNode {

@@ -17,7 +17,8 @@ from armctl.core.validation import Array, matrix, vector
 from armctl.motion.checks import planning_arm
 from armctl.motion.move_j import move_j
 from armctl.motion.sections import Via, is_limited, pause, within_sections
-from armctl.motion.timing.otg import slowed_to_bounds
+from armctl.motion.timing.otg import slowed_to_bounds, straight_rest_to_rest
+from armctl.motion.timing.waypoint_path import Passage, along_smooth_paths, may_be_smooth, straight_runs
 from armctl.motion.timing.waypoint_timing import Candidate, WaypointSearch
 from armctl.motion.torque_limits import slowed_relative_to, within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
@@ -36,6 +37,9 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
     Between waypoints each joint moves independently, jerk-limited and inside its position limits; the velocities and
     accelerations at the waypoints are optimized. If a motor would saturate, the motion is slower on the
     same path, and `slowed` contains the factor. It is never slower than `move_j` from waypoint to waypoint.
+
+    Dense waypoints, as of a recording, determine the path; then the motion is about as fast as a smooth path through them
+    permits, on a line as fast as `move_j`. Each one is passed exactly, so that noise in a recording costs time.
 
     Args:
         waypoints: (k, n) rad, at least two, each inside the limits; the first is the start. A `Via` instead of a row
@@ -82,24 +86,18 @@ def _flowing(arm: Arm, limits: Limits, vias: Sequence[Via], speed: float) -> Joi
     if len(points) == 1:
         return JointTrajectory(*standing(points[0]), arm.joint_names, arm.limits, units=arm.units)
     search = WaypointSearch(points, limits)
-    stopping = search.stopping()
-    candidate = search.fastest(stopping)
-    free = _timed(arm, limits, search, candidate)
-    if free is None:
-        candidate = stopping
-        free = _timed(arm, limits, search, stopping)
-    if free is None:
-        raise PlanError(_TOO_CLOSE)
+    passage = _fastest(search, may_be_smooth(points, limits))
+    free = _trajectory(arm, passage)
     if any(map(is_limited, sections)):
-        ends = np.cumsum(candidate.durations)
-        return within_sections(arm, free, ends * (free.duration / ends[-1]), sections)
+        return within_sections(arm, free, passage.times[1:], sections)
+    lines = points[straight_runs(points)]
     try:
         motion = within_torque(arm, free)
     except PlanError:
-        return slowed_relative_to(arm, _stopping_at_each(arm, points, speed), free)
-    if motion.duration > (1 + _SAME_DURATION) * stopping.durations.sum():
+        return slowed_relative_to(arm, _stopping_at_each(arm, lines, speed), free)
+    if motion is not free and motion.duration > (1 + _SAME_DURATION) * _least_stopping_time(lines, limits):
         # Torque limits can slow the flowing motion down more than one that stops.
-        motion = min(motion, _stopping_at_each(arm, points, speed), key=lambda each: each.duration)
+        motion = min(motion, _stopping_at_each(arm, lines, speed), key=lambda each: each.duration)
     return motion if motion is free else slowed_relative_to(arm, motion, free)
 
 
@@ -108,23 +106,56 @@ def _stopping_at_each(arm: Arm, points: Array, speed: float) -> JointTrajectory:
     return joined([move_j(arm, start, goal, speed=speed) for start, goal in pairwise(points)])
 
 
+def _least_stopping_time(points: Array, limits: Limits) -> float:
+    """s, of straight moves from waypoint to waypoint without torque limits."""
+    bounds = (limits.v_max, limits.a_max, limits.j_max)
+    return sum(float(straight_rest_to_rest(start, goal, bounds).knots[-1]) for start, goal in pairwise(points))
+
+
 def through_waypoints(arm: MovingJoints, points: Array) -> JointTrajectory:
-    """As `move_through` without the torque limits, for checked points that differ from their neighbors."""
-    search = WaypointSearch(points, arm.limits)
+    """As `move_through` without the torque limits, for a few checked points that differ from their neighbors."""
+    return _trajectory(arm, _fastest(WaypointSearch(points, arm.limits), is_smooth=False))
+
+
+def _trajectory(arm: MovingJoints, passage: Passage) -> JointTrajectory:
+    return JointTrajectory(*passage.pieces, arm.joint_names, arm.limits, units=arm.units)
+
+
+def _fastest(search: WaypointSearch, is_smooth: bool) -> Passage:
+    """The fastest motion that is found inside all limits but those of the torque.
+
+    Through dense points the search gets stuck. If they may be on a smooth path, the path is timed, and the search also started
+    near its motion.
+    """
     stopping = search.stopping()
-    motion = _timed(arm, arm.limits, search, search.fastest(stopping)) or _timed(arm, arm.limits, search, stopping)
-    if motion is None:
+    found = [_within_limits(search, search.fastest(stopping))]
+    if is_smooth:
+        along_paths = [_inside(passage, search.limits) for passage in along_smooth_paths(search.q, search.limits)]
+        found += along_paths
+        nearest = _shortest(along_paths)
+        if nearest is not None:
+            found.append(_within_limits(search, search.fastest(stopping, nearest)))
+    passage = _shortest(found) or _within_limits(search, stopping)
+    if passage is None:
         raise PlanError(_TOO_CLOSE)
-    return motion
+    return passage
 
 
-def _timed(arm: MovingJoints, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
-    """The motion of a candidate within all limits but those of the torque; None if rounding takes it out of them."""
+def _shortest(passages: Sequence[Passage | None]) -> Passage | None:
+    return min((each for each in passages if each is not None), key=lambda each: each.times[-1], default=None)
+
+
+def _within_limits(search: WaypointSearch, candidate: Candidate) -> Passage | None:
+    """The motion of a candidate of the search; None if rounding takes it out of its limits."""
     try:
-        pieces = search.pieces(candidate)
+        return _inside(search.passage(candidate), search.limits)
     except PlanError:
         return None
-    pieces = slowed_to_bounds(pieces, (limits.v_max, limits.a_max, limits.j_max))
+
+
+def _inside(passage: Passage, limits: Limits) -> Passage | None:
+    """A motion slowed down to its limits; None if rounding takes it out of them."""
+    pieces = slowed_to_bounds(passage.pieces, (limits.v_max, limits.a_max, limits.j_max))
     if not is_inside(pieces, limits):
         return None
-    return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
+    return Passage(pieces, passage.times * (pieces.knots[-1] / passage.times[-1]))

@@ -86,7 +86,7 @@ def fastest(motion: np.ndarray, **changes: np.ndarray) -> np.ndarray:
         bound[[0, -1]] = 0.0
     ones = np.ones(7)
     arguments = {"q": q, "v_max": ones, "a_max": 5 * ones, "j_max": 50 * ones, "v_bound": v_bound, "a_bound": a_bound}
-    _core.make_fastest(motion, **(arguments | changes))
+    _core.make_fastest(motion, False, **(arguments | changes))
     return motion
 
 
@@ -107,7 +107,7 @@ def test_arrays_of_wrong_shapes_are_refused_by_name():
     with pytest.raises(armctl.InputError, match="a_bound: need an array of shape"):
         fastest(slow_motion(), a_bound=np.ones((12, 6)))
     with pytest.raises(armctl.InputError, match="q: this argument is missing"):
-        _core.make_fastest(slow_motion(), v_max=np.ones(7))
+        _core.make_fastest(slow_motion(), False, v_max=np.ones(7))
 
 
 def test_a_point_outside_the_intervals_is_refused():

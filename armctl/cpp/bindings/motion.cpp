@@ -20,9 +20,9 @@ bool find_path_speed(const Out& coefficients, double interval_length, bool from_
     return timing.solve(from_near, c);
 }
 
-void make_motion_fastest(const Out& motion, const nb::kwargs& arguments) {
+void make_motion_fastest(const Out& motion, bool from_near, const nb::kwargs& arguments) {
     const Arguments given(arguments);
-    const WaypointTiming timing(given);
+    const WaypointTiming timing(given, from_near);
     const Result unknowns = motion.vector(timing.unknowns(), "motion");
     const nb::gil_scoped_release release;
     timing.solve(unknowns);
@@ -35,8 +35,9 @@ void bind_motion(nb::module_& module) {
                "Fills the coefficients of the squared path speed that takes the least time; False if none keeps the bounds.\n\n"
                "With from_near they hold the solution for bounds that are a little different. armctl/cpp/path_timing.hpp explains\n"
                "the bounds.");
-    module.def("make_fastest", &make_motion_fastest, "motion"_a, "arguments"_a,
-               "Replaces a motion through K waypoints by the fastest one; armctl/cpp/waypoint_timing.hpp explains the arguments.");
+    module.def("make_fastest", &make_motion_fastest, "motion"_a, "from_near"_a, "arguments"_a,
+               "Replaces a motion through K waypoints by the fastest one.\n\n"
+               "With from_near it is nearly that already. armctl/cpp/waypoint_timing.hpp explains the arguments.");
 }
 
 }  // namespace armctl

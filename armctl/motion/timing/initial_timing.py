@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 _INITIAL_INTERVALS = 120
 _BACKWARD_TOLERANCE = 1e-9  # of the mean speed: rounding, next to the rest at both ends
+_BISECTIONS = 54  # halve an interval until rounding
 _MIN_SPEED_SHARE = 1e-3  # of the mean speed, of a timing that is made to increase
 
 
@@ -53,6 +55,25 @@ class Timing(NamedTuple):
         s1[[0, -1]] = 0.0
         s2[[0, -1]] = 0.0
         return s, s1, s2, s3
+
+    def times_at(self, lengths: Array) -> Array:
+        """(k,) s, when it reaches lengths."""
+        if self.spline is None:
+            return lengths
+        edges = self.edges
+        s = self.at(edges)[0]
+        k = np.clip(np.searchsorted(s, lengths, side="right") - 1, 0, self.intervals - 1)
+        return where_reached(self.spline, lengths, edges[k], edges[k + 1])  # type: ignore[arg-type]
+
+
+def where_reached(function: Callable[[Array], Array], values: Array, low: Array, high: Array) -> Array:
+    """Where an increasing function of (k,) numbers takes values (k,), between bounds (k,), by bisection."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        is_below = function(middle) < values
+        low = np.where(is_below, middle, low)
+        high = np.where(is_below, high, middle)
+    return high
 
 
 def initial_timing(path: Path, limits: Limits) -> Timing:

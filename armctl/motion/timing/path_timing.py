@@ -15,7 +15,7 @@ from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, IntArray
-from armctl.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing
+from armctl.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing, where_reached
 from armctl.motion.timing.speed_bounds import TorqueRows, points_of, speed_bounds
 from armctl.motion.trajectory.limit_check import limit_excess
 from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many, hermite
@@ -24,12 +24,15 @@ _INTERVAL_S = 0.004
 _MIN_INTERVALS = 60
 _MAX_INTERVALS = 500
 _MAX_TIGHTENINGS = 3
+_MAX_TIGHTENINGS_OF_LARGE_EXCESS = 10
+_LARGE_STRETCH = 1.01  # in time, which more tightenings avoid
 # Exponents of the overshoot of velocity, acceleration, jerk and torque that give the stretch in time which removes it.
 _STRETCH_EXPONENTS = np.array([1, 1 / 2, 1 / 3, 1 / 2])
 _STRETCH_TOLERANCE = 1e-3  # relative: a stretch in time so small removes what bounds are still exceeded by
 _MIN_NODE_DISTANCE_S = 1e-8  # of two nodes; a motion does not change in between
 _SHORT_PIECE_S = 1e-4  # rounding of the positions at its ends decides the jerk of a shorter quintic
 _SAME_LENGTH = 1e-9  # of a path, where one fraction ends and the next begins
+_END_ROUNDING = 1e-12  # of a path
 _MAX_SQUARED_SPEED = 1e12  # of the path speed, where nothing bounds it
 _LEAST_SQUARED_SPEED = 1e-12  # of the path speed at a node: rounding of the spline may leave none
 _MIN_DIP = 1e-2  # of the smaller squared speed at the ends of an interval
@@ -106,12 +109,34 @@ def middle_lengths(pieces: Pieces) -> Array:
     return np.einsum("tc,tc->t", basis_many(0.5 * np.diff(pieces.knots))[0], pieces.coefficients[:, :, -1])
 
 
-def time_optimal(path: Path, limits: Limits, caps: Caps | None = None) -> Pieces:
-    """The time-optimal motion along a path, from rest to rest; its last column is the length. Positions are not limited."""
+def times_at(pieces: Pieces, lengths: Array) -> Array:
+    """(k,) s, when the last column of a motion, its length, which increases from 0, reaches lengths up to the whole one."""
+    starts = pieces.coefficients[:, 0, -1]
+    piece = np.clip(np.searchsorted(starts, lengths, side="right") - 1, 0, len(starts) - 1)
+    rows = pieces.coefficients[piece, :, -1]
+    steps = np.diff(pieces.knots)[piece]
+    inside = where_reached(lambda u: (basis_many(u)[0] * rows).sum(axis=1), lengths, np.zeros_like(steps), steps)
+    # At both ends the motion rests, and the length hardly depends on the time.
+    times = np.where(lengths > 0.0, pieces.knots[piece] + inside, 0.0)
+    return np.where(lengths < (1 - _END_ROUNDING) * _length_of(pieces), times, pieces.knots[-1])
+
+
+def _length_of(pieces: Pieces) -> float:
+    """The last column of a motion at its end."""
+    return float(basis_many(np.diff(pieces.knots[-2:]))[0, 0] @ pieces.coefficients[-1, :, -1])
+
+
+def time_optimal(path: Path, limits: Limits, caps: Caps | None = None, knots: Array | None = None) -> Pieces:
+    """The time-optimal motion along a path, from rest to rest; its last column is the length. Positions are not limited.
+
+    At `knots` (k,), lengths, its third derivative may jump, and the motion is exactly on the path.
+    """
+    inner = np.empty(0) if knots is None else knots[1:-1]
     problem = _Problem(path, limits, caps)
     timing = initial_timing(path, limits)
-    timed = problem.timed(problem.sampled(_Places.of(timing, timing.edges)))
-    return _tightened(problem, _refined(timed, intervals_for(timed.t[-1])))
+    timed = problem.timed(problem.sampled(_Places.of(timing, _merged(timing.edges, timing.times_at(inner)))))
+    refined = _refined(timed, intervals_for(timed.t[-1]))
+    return _tightened(problem, refined, refined.times_at(inner))
 
 
 def slowed_down(
@@ -132,17 +157,17 @@ def intervals_for(duration: float) -> int:
     return max(_MIN_INTERVALS, min(_MAX_INTERVALS, math.ceil(duration / _INTERVAL_S)))
 
 
-def _tightened(problem: _Problem, timing: Timing, knots: Array | None = None) -> Pieces:
+def _tightened(problem: _Problem, timing: Timing, knots: Array) -> Pieces:
     """The best path speed for a timing, cut at knots too, its bounds tightened where it exceeds them between the nodes."""
-    sampled = problem.sampled(_Places.of(timing, timing.edges if knots is None else _merged(timing.edges, knots)))
+    sampled = problem.sampled(_Places.of(timing, _merged(timing.edges, knots)))
     slack = np.ones((4, len(sampled.places.nodes)))
     tried: list[tuple[Pieces, float]] = []
-    for tightening in range(1 + _MAX_TIGHTENINGS):
+    for tightening in range(1 + _MAX_TIGHTENINGS_OF_LARGE_EXCESS):
         pieces = problem.timed(sampled, slack if tightening else None).pieces()
         overshoot = problem.overshoot(pieces)
         stretch = float((np.maximum(overshoot.max(axis=1), 1.0) ** _STRETCH_EXPONENTS).max())
         tried.append((pieces, stretch))
-        if stretch <= 1 + _STRETCH_TOLERANCE:
+        if stretch <= (1 + _STRETCH_TOLERANCE if tightening < _MAX_TIGHTENINGS else _LARGE_STRETCH):
             break
         excess = np.maximum(overshoot, 1.0)
         slack[:, :-1] /= excess
@@ -346,11 +371,16 @@ def _refined(timed: _Timed, intervals: int) -> Timing:
 
 
 def _merged(edges: Array, knots: Array) -> Array:
-    """Edges and knots in order, without knots that come too soon after another node or before an edge."""
-    k = np.clip(np.searchsorted(edges, knots), 1, len(edges) - 1)
-    inner = knots[np.minimum(np.abs(knots - edges[k - 1]), np.abs(edges[k] - knots)) > _MIN_NODE_DISTANCE_S]
+    """Edges and knots in order, without knots that come too soon after another one, and inner edges too near to a knot."""
+    inner = knots[(knots > _MIN_NODE_DISTANCE_S) & (knots < edges[-1] - _MIN_NODE_DISTANCE_S)]
     kept = inner[np.diff(inner, prepend=-np.inf) > _MIN_NODE_DISTANCE_S]
-    return np.sort(np.concatenate([edges, kept]))
+    if not len(kept):
+        return edges
+    k = np.searchsorted(kept, edges)
+    before = edges - kept[np.maximum(k - 1, 0)]
+    behind = kept[np.minimum(k, len(kept) - 1)] - edges
+    apart = np.minimum(np.abs(before), np.abs(behind)) > _MIN_NODE_DISTANCE_S
+    return np.sort(np.concatenate([edges[apart], kept]))
 
 
 def _squared_speed(c: Array, h: float, m: IntArray, x: Array) -> tuple[Array, Array]:

@@ -13,10 +13,13 @@ from armctl import _core
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.timing.otg import JointState, ProfileSolver, phase_nodes, phase_polynomials, solve_pieces
+from armctl.motion.timing.waypoint_path import Passage, passage_of
 from armctl.motion.trajectory.limit_check import polynomial_extremes
-from armctl.motion.trajectory.piecewise import Pieces, joined
+from armctl.motion.trajectory.piecewise import Pieces, sample
 
 _INITIAL_TIME_FACTOR = 2.0  # relative to stopping at each waypoint, where the search starts
+_NEAR_TIME_FACTOR = 1.03  # relative to a fast motion, where the search starts near it
+_INSIDE = 0.99  # of a bound, where the search starts
 _AT_LIMIT = 1e-7  # rad (m); closer to a position limit, a waypoint is passed without acceleration
 _POSITION_ROUNDING = 1e-12  # rad (m)
 _MAX_REPAIRS = 20
@@ -57,17 +60,20 @@ class WaypointSearch:
         durations = [float(section.knots[-1]) for section in self._sections(zero, zero)]
         return Candidate(zero, zero, np.array(durations), np.full((len(durations), self.q.shape[1]), -np.inf))
 
-    def fastest(self, stopping: Candidate) -> Candidate:
-        """The fastest motion that the search finds inside all limits; `stopping` if none is faster."""
+    def fastest(self, stopping: Candidate, near: Passage | None = None) -> Candidate:
+        """The fastest motion that the search finds inside all limits; `stopping` if none is faster.
+
+        The search starts from stopping at each waypoint, or near a motion that is fast already.
+        """
         limits = self.limits
         v_bound = self._v_bound.copy()
         a_bound = self._a_bound.copy()
-        for _ in range(_MAX_REPAIRS):
+        for _ in range(_MAX_REPAIRS if near is None else 1):
             # Velocity and acceleration of each joint at a waypoint, then the time to the next one.
-            motion = np.zeros((len(self.q), 2 * self.q.shape[1] + 1))
-            motion[:-1, -1] = _INITIAL_TIME_FACTOR * stopping.durations
+            motion = self._slow(stopping) if near is None else self._slowed(near, v_bound, a_bound)
             _core.make_fastest(
                 motion.ravel()[:-1],
+                near is not None,
                 q=self.q,
                 v_max=limits.v_max,
                 a_max=limits.a_max,
@@ -88,9 +94,24 @@ class WaypointSearch:
                 a_bound[k : k + 2, i] = _REPAIR_FACTOR * np.abs(a[k : k + 2, i])
         return stopping
 
-    def pieces(self, candidate: Candidate) -> Pieces:
+    def _slow(self, stopping: Candidate) -> Array:
+        """(k, 2 n + 1) where the search starts, far inside all bounds."""
+        motion = np.zeros((len(self.q), 2 * self.q.shape[1] + 1))
+        motion[:-1, -1] = _INITIAL_TIME_FACTOR * stopping.durations
+        return motion
+
+    def _slowed(self, near: Passage, v_bound: Array, a_bound: Array) -> Array:
+        """(k, 2 n + 1) where the search starts, a little slower than a motion and so inside its bounds."""
+        _, v, a = sample(near.pieces, near.times)
+        motion = np.zeros((len(self.q), 2 * self.q.shape[1] + 1))
+        motion[:, :-1:2] = np.clip(v / _NEAR_TIME_FACTOR, -_INSIDE * v_bound, _INSIDE * v_bound)
+        motion[:, 1:-1:2] = np.clip(a / _NEAR_TIME_FACTOR**2, -_INSIDE * a_bound, _INSIDE * a_bound)
+        motion[:-1, -1] = _NEAR_TIME_FACTOR * np.diff(near.times)
+        return motion
+
+    def passage(self, candidate: Candidate) -> Passage:
         """The motion of a candidate. Raises PlanError if a section cannot be computed accurately."""
-        return joined(self._sections(candidate.v, candidate.a))
+        return passage_of(self._sections(candidate.v, candidate.a))
 
     def _sections(self, v: Array, a: Array) -> list[Pieces]:
         states = [JointState(*state) for state in zip(self.q, v, a, strict=True)]
