@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -21,11 +23,11 @@ from armctl.motion.path.geometry import Blend, Circle, CompositePath, Shape, Str
 from armctl.motion.path.joint_path import JointPath, joint_path_along
 from armctl.motion.path.tip_caps import TipCaps
 from armctl.motion.sections import Section, is_limited, pause, within_sections
-from armctl.motion.timing.path_timing import time_optimal
+from armctl.motion.timing.path_timing import time_optimal, times_at
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
 from armctl.motion.trajectory.limit_check import check_limits, is_inside
-from armctl.motion.trajectory.piecewise import joints_of, standing
+from armctl.motion.trajectory.piecewise import Pieces, joints_of, standing
 from armctl.robot.arm import Arm
 
 _MIN_LENGTH = 1e-9  # m
@@ -138,7 +140,8 @@ def move_path(
 ) -> JointTrajectory:
     """The fastest motion of the tip on lines and arcs with rounded corners, to rest at its end.
 
-    Inside the blend radius of a corner the path is rounded; outside it is exact. If the radius is 0, the tip stops.
+    Inside the blend radius of a corner the path is rounded; outside it is exact. If the radius is 0, the tip stops. It also
+    stops at a sharp corner where that is faster: a path with blends never takes longer than one without.
 
     Args:
         q_start: As for `move_l`.
@@ -179,7 +182,6 @@ def _planned(arm: Arm, q_start: Pose | Setpoint | ArrayLike, request: _Request, 
 
 
 def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
-    what = request.function
     parts = request.parts
     planning = planning_arm(arm, options.get("speed", 1.0))
     if isinstance(q_start, Pose):
@@ -193,16 +195,74 @@ def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathO
         for shape, blend, part in zip(shapes, blends, parts, strict=True)
         if shape.length > _MIN_LENGTH or part.dwell  # to where the tip is already is no leg
     ]
-    motions: list[JointTrajectory] = []
+    motions = _fastest_motions(partial(_stretches, arm, planning.limits, q, request, options), legs)
+    return joined(motions) if motions else JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
+
+
+class _Stretch(NamedTuple):
+    """What is gone through without stopping, once it is planned; nothing is, where the tip stays."""
+
+    chain: _Chain
+    motions: list[JointTrajectory]  # the motion, and the pause after it
+    free: Pieces | None  # the motion without torque limits and limits of sections; its last column is the length
+
+
+def _fastest_motions(plan: Callable[[list[_Leg]], list[_Stretch]], legs: list[_Leg]) -> list[JointTrajectory]:
+    """The motions along legs, with stops at those of the rounded corners where that is faster.
+
+    Around a sharp corner the rounded path is strongly curved, and slower than two straight lines with a stop between.
+    """
+    rounded = plan(legs)
+    candidates = [rounded]
+    if len(rounded) < len(legs):
+        with suppress(PlanError):  # the corner itself may be out of reach
+            stopping = plan([leg._replace(blend=0.0) for leg in legs])
+            candidates.append(stopping)
+            slow = _slow_corners(rounded, stopping)
+            if 0 < len(slow) < len(legs) - len(rounded):
+                candidates.append(plan([leg._replace(blend=0.0) if i in slow else leg for i, leg in enumerate(legs)]))
+    motions = [[motion for stretch in candidate for motion in stretch.motions] for candidate in candidates]
+    return min(motions, key=lambda each: sum(motion.duration for motion in each))
+
+
+def _slow_corners(rounded: list[_Stretch], stopping: list[_Stretch]) -> set[int]:
+    """The legs at whose end a rounded corner takes longer, from the middle of the leg to that of the next one, than a stop."""
+    slow = set()
+    leg = 0
+    for stretch in rounded:
+        for corner in stretch.chain.ends[:-1]:
+            before = stopping[leg]
+            after = stopping[leg + 1]
+            if stretch.free is not None and before.free is not None and after.free is not None:
+                half = 0.5 * before.chain.path.length
+                next_half = 0.5 * after.chain.path.length
+                begin, end = times_at(stretch.free, np.array([corner - half, corner + next_half]))
+                stop = before.free.knots[-1] - times_at(before.free, np.array([half]))[0]
+                start = times_at(after.free, np.array([next_half]))[0]
+                if end - begin > stop + start:
+                    slow.add(leg)
+            leg += 1
+        leg += 1
+    return slow
+
+
+def _stretches(arm: Arm, limits: Limits, q: Array, request: _Request, options: PathOptions, legs: list[_Leg]) -> list[_Stretch]:
+    """The motions along legs from q."""
+    oriented = isinstance(request.parts[0].target, Pose)
+    stretches = []
     for chain in _chains(legs):
+        motions = []
+        free = None
         if chain.path.length > 0.0:
-            joint_path = joint_path_along(arm, what, chain.path, q, oriented)
-            motions.append(_timed(arm, planning.limits, joint_path, chain, options))
-            _require_limits(arm, what, motions[-1])
-            q = motions[-1](motions[-1].duration).q
+            joint_path = joint_path_along(arm, request.function, chain.path, q, oriented)
+            motion, free = _timed(arm, limits, joint_path, chain, options)
+            _require_limits(arm, request.function, motion)
+            motions.append(motion)
+            q = motion(motion.duration).q
         if chain.dwell:
             motions.append(pause(arm, q, chain.dwell))
-    return joined(motions) if motions else JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
+        stretches.append(_Stretch(chain, motions, free))
+    return stretches
 
 
 def _best_branch(arm: Arm, start: Pose, plan: Callable[[Array], JointTrajectory]) -> JointTrajectory:
@@ -224,8 +284,10 @@ def _best_branch(arm: Arm, start: Pose, plan: Callable[[Array], JointTrajectory]
     return min(motions, key=lambda motion: motion.duration)
 
 
-def _timed(arm: Arm, limits: Limits, joint_path: JointPath, chain: _Chain, options: PathOptions) -> JointTrajectory:
-    """The motion along what is gone through without stopping."""
+def _timed(
+    arm: Arm, limits: Limits, joint_path: JointPath, chain: _Chain, options: PathOptions
+) -> tuple[JointTrajectory, Pieces]:
+    """The motion along what is gone through without stopping, and the one without torque limits and limits of sections."""
     speed = options.get("speed", 1.0)
     caps = TipCaps.of(arm, joint_path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
     pieces = time_optimal(joint_path, limits, caps)
@@ -235,7 +297,7 @@ def _timed(arm: Arm, limits: Limits, joint_path: JointPath, chain: _Chain, optio
     else:
         ends = np.interp(chain.ends, pieces.coefficients[:, 0, -1], pieces.knots[:-1])
         motion = within_sections(arm, free, np.append(ends[:-1], free.duration), chain.sections)
-    return motion if caps is None else caps.kept(motion)
+    return motion if caps is None else caps.kept(motion), pieces
 
 
 def _require_limits(arm: Arm, what: str, motion: JointTrajectory) -> None:

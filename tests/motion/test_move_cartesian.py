@@ -364,3 +364,53 @@ def test_a_section_begins_in_the_middle_of_its_rounded_corner(slides):
     backward = armctl.move_path(slides, end[:2], [Line(corner, speed=0.3), Line(start)], blend=0.1)
     assert forward.duration == pytest.approx(backward.duration, rel=1e-4)
     assert forward.duration > 1.5 * armctl.move_path(slides, start[:2], [corner, end], blend=0.1).duration
+
+
+@pytest.mark.parametrize("angle", [45, 90, 120, 150, 170, 180])
+@pytest.mark.parametrize("radius", [0.005, 0.02, 0.05])
+@pytest.mark.parametrize("legs", [0.1, 0.3])
+def test_a_rounded_corner_never_takes_longer_than_a_stop(slides, angle, radius, legs):
+    turned = np.deg2rad(angle)
+    corner = np.array([legs, 0.0, 0.0])
+    path = [corner, corner + legs * np.array([np.cos(turned), np.sin(turned), 0.0])]
+    plain = armctl.move_path(slides, [0.0, 0.0], path)
+    motion = armctl.move_path(slides, [0.0, 0.0], path, blend=radius)
+    assert motion.duration <= plain.duration * (1 + 1e-9)
+    assert angle > 45 or motion.duration < 0.98 * plain.duration
+    assert motion.check_limits().ok
+    position, _ = tips(slides, motion, 4000)
+    sides = [to_segment(position, a, b) for a, b in pairwise([np.zeros(3), *path])]
+    away = np.linalg.norm(position - corner, axis=1)
+    assert np.min(sides, axis=0)[away > radius + UM].max() < 5 * UM
+    assert away.min() < radius
+    assert np.allclose(position[-1], path[-1], atol=UM)
+
+
+@pytest.mark.parametrize("name", ["six joints", "redundant"])
+def test_blends_of_a_path_there_and_back_never_take_longer_than_none(tmp_path, name):
+    arm = serial_arm(tmp_path, replace(BENT[name], range="-3 3"))
+    home = arm.fk(arm.home)
+    away = armctl.Pose(np.add(home.position, [-0.06, 0.04, -0.05]), quat=home.quat)
+    path = [away, home, away, home]
+    plain = armctl.move_path(arm, arm.home, path).duration
+    for radius in (0.002, 0.01, 0.03):
+        motion = armctl.move_path(arm, arm.home, path, blend=radius)
+        assert motion.duration <= plain * (1 + 1e-9)
+        assert motion.check_limits().ok
+        assert armctl.check_torque(arm, motion).ok
+
+
+def test_a_path_stops_at_its_sharp_corners_only(slides):
+    """Three right angles and, between them, a way into a slot and back."""
+    corners = [[0.3, 0.0, 0.0], [0.3, 0.3, 0.0], [0.3, 0.31, 0.0], [0.3, 0.3, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.0]]
+    path = [Line(corner, blend=0.0 if k in (1, 3) else 0.005) for k, corner in enumerate(corners)]
+    motion = armctl.move_path(slides, [0.0, 0.0], path)
+    position, _ = tips(slides, motion, 20_000)
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    slot = np.linalg.norm(position - corners[2], axis=1)
+    first = np.linalg.norm(position - corners[0], axis=1)
+    assert slot.min() < UM
+    assert speed[int(slot.argmin()) - 1 : int(slot.argmin()) + 1].max() < 1e-3 * speed.max()
+    assert first.min() > 1e-4
+    assert speed[int(first.argmin())] > 0.05 * speed.max()
+    assert motion.duration < armctl.move_path(slides, [0.0, 0.0], corners).duration
