@@ -1,6 +1,7 @@
 """Motions against their peers: waypoints (ruckig stopping, toppra), lines (toppra, Drake, roboplan), limits, new goals online.
 
-    python benchmarks/motion.py [--only waypoints lines online limits torques peers] [--moves 10000] [--sets 500] [--lines 20]
+    python benchmarks/motion.py [--only waypoints lines online limits torques peers dense]
+                                [--moves 10000] [--sets 500] [--lines 20]
 
 With `--only`, what else the file says stays as it is.
 The peers are an extra, `pip install -e .[benchmark]`; without them their columns are empty and their rows are left out. Speed,
@@ -126,6 +127,56 @@ def toppra_time(arm: armctl.Arm, q: Array, at: Array, points: int) -> float:
     grid = np.linspace(at[0], at[-1], points)
     found = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel").compute_trajectory(0, 0)
     return float(found.duration)
+
+
+# Dense waypoints
+
+
+def on_line(arm: armctl.Arm, count: int, rng: np.random.Generator) -> Array:
+    """Waypoints evenly on a line of 0.2 rad."""
+    return middle(arm) + np.linspace(-0.1, 0.1, count)[:, None] * rng.uniform(-1.0, 1.0, arm.n)
+
+
+def on_curve(arm: armctl.Arm, count: int, rng: np.random.Generator) -> Array:
+    """Waypoints on a smooth curve through the middle of the joint ranges."""
+    u = np.linspace(0.0, 1.0, count)[:, None]
+    waves = np.sin(2 * u + rng.uniform(0.0, 2 * np.pi, arm.n)) + 0.3 * np.sin(5 * u + rng.uniform(0.0, 2 * np.pi, arm.n))
+    return middle(arm) + 0.3 * rng.uniform(0.2, 1.0, arm.n) * (arm.limits.q_max - arm.limits.q_min) * waves / 2.6
+
+
+def middle(arm: armctl.Arm) -> Array:
+    return 0.5 * (arm.limits.q_min + arm.limits.q_max)
+
+
+def dense(panda: armctl.Arm, sets: int) -> str:
+    """What an arm needs for waypoints that leave it no choice of its path."""
+    rows = []
+    for jerk in (1.0, 0.1):
+        arm = untiring(panda, jerk)
+        for count in (5, 10, 30, 100, 300):
+            rng = np.random.default_rng(count)
+            lines, curves, times, inside = [], [], [], True
+            for _ in range(max(2, sets // 50)):
+                for make, shares in ((on_line, lines), (on_curve, curves)):
+                    q = make(arm, count, rng)
+                    began = time.perf_counter()
+                    motion = armctl.move_through(arm, q)
+                    times.append(time.perf_counter() - began)
+                    inside &= motion.check_limits().ok
+                    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+                    best = armctl.move_j(arm, q[0], q[-1]).duration if shares is lines else toppra_time(arm, q, at, 2000)
+                    shares.append(motion.duration / best)
+            ratios = [f"{np.median(shares):.3f} ({np.max(shares):.3f})" for shares in (lines, curves)]
+            rows.append(
+                (count, jerk, ratios[0], 1.02, ratios[1], 1.15, f"{1e3 * np.median(times):.0f}", "yes" if inside else "NO")
+            )
+    columns = ["waypoints", "jerk", "line / move_j", "target", "curve / toppra", "target", "median, ms", "all limits kept"]
+    return titled_table(
+        "Dense waypoints on lines and smooth curves: duration over that of `move_j`, and over toppra's without jerk limits, "
+        "median (worst)",
+        columns,
+        rows,
+    )
 
 
 # Torque limits
@@ -450,6 +501,7 @@ PARTS = {
     "limits": lambda panda, args: limits_kept(args.moves),
     "torques": lambda panda, args: torques(args.torque_sets),
     "peers": lambda panda, args: peers(panda, args.lines),
+    "dense": lambda panda, args: dense(panda, args.sets),
 }
 
 
