@@ -1,10 +1,13 @@
 """Why a PD law of a tutorial oscillates: the gear multiplies its gains, and its damping is too large for 2 ms."""
 
+import warnings
+
 import numpy as np
 
 import armctl
 
 arm = armctl.load("robot_arm_3dof")
+warnings.simplefilter("ignore", armctl.ArmctlWarning)  # of the jumps, which are meant
 
 
 class TutorialPD:

@@ -65,7 +65,7 @@ class SimulatedArms(ControlledArms):
             self._steps = None
 
     def run(self, trajectories: Mapping[str, Trajectory], dwell: float) -> dict[str, Log]:
-        """As every run. InputError for a planned motion that begins elsewhere, LimitError for one far outside the limits."""
+        """As every run. InputError for a planned way that begins elsewhere, LimitError for one far outside the limits."""
         for tip, trajectory in trajectories.items():
             check_motion(trajectory, self.arms[tip].joint_names)
             self._check_start(tip, trajectory)
@@ -166,8 +166,11 @@ class SimulatedArms(ControlledArms):
 
 
 def _elsewhere(trajectory: Trajectory, sentence: str) -> None:
-    """Refuses a planned motion that begins elsewhere; a reference of the caller's own may be a step, and gets a warning."""
-    if isinstance(trajectory, JointTrajectory):
+    """Refuses a planned motion that begins elsewhere; a step may be meant, and gets a warning.
+
+    A step is a reference of the caller's own, or a plan of no duration, which holds one configuration.
+    """
+    if isinstance(trajectory, JointTrajectory) and trajectory.duration > 0.0:
         raise InputError(sentence)
     warnings.warn(ArmctlWarning(sentence), stacklevel=5)
 

@@ -84,7 +84,7 @@ def test_wrong_starts_are_one_sentence(arm):
     target = arm.fk(arm.home + 0.2).position
     with pytest.raises(armctl.InputError, match=r"^q_start.v: expected 3 numbers, got 2$"):
         armctl.move_l(arm, armctl.Setpoint(arm.home, np.zeros(2), np.zeros(3)), target)
-    with pytest.raises(armctl.LimitError, match=r"^q_start.a: shoulder_yaw: 1e\+06 rad/s\^2 is outside "):
+    with pytest.raises(armctl.PlanError, match=r"^no stop inside the limits was found from this start"):
         armctl.move_l(arm, armctl.Setpoint(arm.home, np.zeros(3), np.array([1e6, 0.0, 0.0])), target)
     at_limit = arm.limits.clamp(arm.home + np.array([9.0, 0.0, 0.0]))
     with pytest.raises(armctl.LimitError, match=r"^q_start: the arm cannot stop inside its position limits"):
