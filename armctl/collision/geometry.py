@@ -133,7 +133,9 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
     one, other = np.triu_indices(len(moving), 1)
     first = np.concatenate([moving[one], np.repeat(moving, len(fixed))])
     second = np.concatenate([moving[other], np.tile(fixed, len(moving))])
-    first, second = np.minimum(first, second), np.maximum(first, second)
+    pairs = np.sort(np.stack([first, second]), axis=0)
+    first = pairs[0]
+    second = pairs[1]
     contype = model.geom_contype
     conaffinity = model.geom_conaffinity
     may_touch = ((contype[first] & conaffinity[second]) | (contype[second] & conaffinity[first])) != 0

@@ -330,7 +330,7 @@ def _delay_margin(w: Array, loop: NDArray[np.complex128]) -> float:
     """s, the smallest of loop transfer functions (k, configurations, n, n): where an eigenvalue has the magnitude 1."""
     eigenvalues = np.linalg.eigvals(loop)
     eigenvalues = np.take_along_axis(eigenvalues, np.abs(eigenvalues).argsort(axis=2), axis=2)
-    size = np.log(np.abs(eigenvalues))
+    size = np.log(np.maximum(np.abs(eigenvalues), np.finfo(np.float64).tiny))  # 0 where a stiffness is 0
     k, configuration, rank = np.nonzero((size[1:] > 0.0) != (size[:-1] > 0.0))
     before = size[k, configuration, rank]
     share = before / (before - size[k + 1, configuration, rank])

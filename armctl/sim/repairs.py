@@ -28,8 +28,12 @@ def repair_counts(data: mujoco.MjData) -> RepairCounts:
 
     layout = repair_layout()
     first = data._address + layout.first
-    position, velocity, acceleration, control = (ctypes.c_int32.from_address(first + k * layout.stride) for k in range(4))
-    return position, velocity, acceleration, control
+    return (
+        ctypes.c_int32.from_address(first),
+        ctypes.c_int32.from_address(first + layout.stride),
+        ctypes.c_int32.from_address(first + 2 * layout.stride),
+        ctypes.c_int32.from_address(first + 3 * layout.stride),
+    )
 
 
 def has_repaired(counts: RepairCounts) -> bool:

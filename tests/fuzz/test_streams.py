@@ -5,6 +5,7 @@ The judge uses the setpoints only: their bounds, their differences, and MuJoCo's
 """
 
 from collections import Counter
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -87,6 +88,25 @@ def broken(kind: str, times: np.ndarray, rows: np.ndarray, rng: np.random.Genera
     return times, rows
 
 
+def course(stream: armctl.Stream) -> np.ndarray:
+    """Where a stream is, and how long it moves on."""
+    return np.append(np.concatenate(stream.setpoint[:3]), stream.time_left)
+
+
+def push_positions(stream: armctl.Stream, kind: str, push: Callable[..., object], times: object, q: np.ndarray) -> str:
+    """Gives a stream positions, of which it refuses those that are half a turn or 1 m outside the limits; what they are."""
+    before = course(stream)
+    try:
+        push(times, q)
+    except armctl.LimitError as error:
+        refused = str(error)
+    else:
+        return kind
+    assert "degrees?" in refused or "millimetres?" in refused
+    assert np.array_equal(before, course(stream))
+    return "far outside"
+
+
 def push(stream: armctl.Stream, arm: armctl.Arm, rng: np.random.Generator) -> str:
     """Gives a stream something random; what it is."""
     q = stream.setpoint.q
@@ -100,20 +120,18 @@ def push(stream: armctl.Stream, arm: armctl.Arm, rng: np.random.Generator) -> st
         walk = np.cumsum(walk, axis=0)
     match kind:
         case "chunk":
-            stream.push_chunk(times, q + walk)
+            kind = push_positions(stream, "chunk", stream.push_chunk, times, q + walk)
         case "broken":
             kind = str(rng.choice(BROKEN))
-            before = (*stream.setpoint[:3], stream.time_left)
+            before = course(stream)
             with pytest.raises(armctl.InputError) as refused:
                 stream.push_chunk(*broken(kind, times, q + walk, rng))
             assert "\n" not in str(refused.value)
-            assert all(np.array_equal(x, y) for x, y in zip(before, (*stream.setpoint[:3], stream.time_left), strict=True)), (
-                kind
-            )
+            assert np.array_equal(before, course(stream)), kind
         case "target":
-            stream.push(stream.t + rng.uniform(-0.2, 0.1), q + walk[0])
+            kind = push_positions(stream, "target", stream.push, stream.t + rng.uniform(-0.2, 0.1), q + walk[0])
         case "far":
-            stream.push(stream.t + rng.choice([0.0, 0.5]), random_q(arm, rng)[0])
+            kind = push_positions(stream, "far", stream.push, stream.t + rng.choice([0.0, 0.5]), random_q(arm, rng)[0])
         case "twist":
             stream.push_twist(rng.standard_normal(3) * rng.choice([0.1, 10.0]), rng.standard_normal(3))
         case "pose":

@@ -83,7 +83,7 @@ def test_from_outside_the_limits_it_moves_back_in(name: str):
     arm, rng, limits = arm_of(name), np.random.default_rng(3), arm_of(name).limits
     ik = DifferentialIk(arm)
     for q in positions(arm, 40):
-        q = q + rng.normal(size=arm.n) * 2.0
+        q = np.clip(q + rng.normal(size=arm.n) * 2.0, limits.q_min - 0.9, limits.q_max + 0.9)  # half a turn or 1 m is refused
         outside = np.maximum(0.0, np.maximum(limits.q_min - q, q - limits.q_max))
         v = ik.step(q, reachable(arm, arm.home), DT)
         after = q + DT * v

@@ -142,7 +142,8 @@ def test_an_arm_reaches_poses_as_exactly_as_asked():
 
 
 def test_tolerances_below_rounding_are_named_as_the_reason(load):
-    arm = load(limb("a b c", '<site name="tip" pos="2e5 0 0"/>'), motors("a b c"))  # 200 km, which rounding knows to 3e-11 m
+    with pytest.warns(armctl.ArmctlWarning, match="are these millimetres"):  # 200 km, which rounding knows to 3e-11 m
+        arm = load(limb("a b c", '<site name="tip" pos="2e5 0 0"/>'), motors("a b c"))
     tight = {"position_tolerance": 1e-12, "orientation_tolerance": 1e-12}
     targets = [arm.fk(q) for q in positions(arm, 80)]
     refused = [result for target in targets if not (result := solve_ik(arm, target, **tight))]

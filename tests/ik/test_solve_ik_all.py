@@ -233,7 +233,7 @@ def test_the_branches_of_the_solutions_of_six_joints_differ_and_tell_them_apart(
 
 def test_limits_remove_solutions_and_whole_turns_are_no_solutions_of_their_own(tmp_path):
     target = arm_of(tmp_path, "three parallel axes", "-6.2 6.2").fk(GENERIC[:6])
-    wide = solve_ik_all(arm_of(tmp_path, "three parallel axes", "-60 60"), target)
+    wide = solve_ik_all(arm_of(tmp_path, "three parallel axes", "-59.7 59.7"), target)
     narrow_arm = arm_of(tmp_path, "three parallel axes", "-1.5 1.5")
     narrow = solve_ik_all(narrow_arm, target)
     assert len(wide) == 8
@@ -244,7 +244,7 @@ def test_limits_remove_solutions_and_whole_turns_are_no_solutions_of_their_own(t
 
 
 def test_solutions_are_sorted_by_their_distance_from_q0_and_turned_towards_it(tmp_path):
-    arm = arm_of(tmp_path, "three parallel axes", "-20 20")
+    arm = arm_of(tmp_path, "three parallel axes", "-18.85 18.85")
     q0 = np.full(6, 7.0)
     found = solve_ik_all(arm, arm.fk(GENERIC[:6]), q0=q0)
     distances = np.linalg.norm(found.q - q0, axis=1)
@@ -257,7 +257,7 @@ def test_solutions_are_sorted_by_their_distance_from_q0_and_turned_towards_it(tm
 
 @pytest.mark.parametrize("name", ["no special axes", "seven joints"])
 def test_solutions_of_a_search_are_turned_towards_q0(tmp_path, name: str):
-    arm = arm_of(tmp_path, name, "-20 20")
+    arm = arm_of(tmp_path, name, "-18.85 18.85")
     q0 = np.full(arm.n, 9.0)
     found = solve_ik_all(arm, arm.fk(GENERIC[: arm.n]), 8, q0)
     assert found.ok.all()

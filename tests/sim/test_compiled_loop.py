@@ -20,9 +20,6 @@ from armctl.control import CONTROLLERS, controller_by_name
 from armctl.control.interface import CompiledController, controller_name, has_compiled_law
 from armctl.sim import compiled_loop
 
-# Some of these references are steps.
-pytestmark = pytest.mark.filterwarnings("ignore:trajectory. it begins with:armctl.ArmctlWarning")
-
 PLANTS = {
     "nominal": armctl.Plant(),
     "heavier, with friction": armctl.Plant(payload=0.3, mass_scale=1.1, coulomb_friction=0.2, viscous_friction=0.1),
