@@ -112,7 +112,7 @@ public:
         auto work = [&] {
             for (size_t row = first; row < last; ++row) { step_row(row, workspace); }
         };
-        const std::string error = guarded(*api_, work);
+        std::string error = guarded(*api_, work);
         if (error.empty() && has_repaired_any(first, last)) {
             return "a position, velocity, acceleration or control was NaN or above 1e10, and MuJoCo repaired it";
         }
