@@ -258,7 +258,7 @@ def _damped_stiffness(
 
     def is_within(raised: Array, at: SampledInertia, frequencies: int) -> bool:
         peak, delay = pd_margins(at, raised, damping, dt, frequencies)
-        return peak <= max_peak and delay >= min_delay
+        return peak <= max_peak and delay > 0.0 and delay >= min_delay
 
     last = slice(-_SEARCHED_CONFIGURATIONS, None)
     some = replace(

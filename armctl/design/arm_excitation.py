@@ -32,6 +32,7 @@ _MAX_OTHER_STARTS = 5
 _LIMIT_MARGIN = 0.05  # of a joint's range
 TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
 CLEARANCE_M = 0.005  # for the error of the controller
+NOT_PROVED = float("nan")  # m
 _SCORE_SAMPLES = 100
 _SMOOTHING_SPEED = 0.02  # rad/s, of Coulomb friction in the score
 _NOISE_SHARE = 2e-3  # of the torque limits, or of typical torques of joints without limits: noise of a sample in the score
@@ -55,13 +56,14 @@ class Excitation(JointTrajectory):
     Attributes:
         excites: "arm", "payload" or "frequency".
         condition_number: Of the regressor of the parameters in question along the motion, with columns of equal length.
-        clearance: m, for an arm and a frequency response: the proved distance from everything during the whole motion.
+        clearance: m, for an arm and a frequency response: the proved distance from everything during the whole motion; nan for
+            an arm with links that have no shape.
         multisine: For a frequency response: its measured periods and frequencies.
     """
 
     excites: str = "payload"
     condition_number: float = float("nan")
-    clearance: float = float("nan")
+    clearance: float = NOT_PROVED
     multisine: Multisine | None = None
 
 
@@ -152,7 +154,7 @@ def _from(
         score = score_of(motion)
         if score.uncertainty < least:
             least = score.uncertainty
-            best = excitation_along(motion, "arm", score.condition, clearance.distance)
+            best = excitation_along(motion, "arm", score.condition, NOT_PROVED if checker.not_checkable else clearance.distance)
         if found == _CANDIDATES:
             break
     if best is None:
@@ -161,7 +163,7 @@ def _from(
 
 
 def excitation_along(
-    motion: JointTrajectory, excites: str, condition_number: float, clearance: float = float("nan")
+    motion: JointTrajectory, excites: str, condition_number: float, clearance: float = NOT_PROVED
 ) -> Excitation:
     return Excitation(
         motion.knots,

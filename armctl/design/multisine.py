@@ -8,7 +8,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.collision.clearance import clearance_of
 from armctl.core.errors import InputError, PlanError
 from armctl.core.validation import Array, IntArray, integer
-from armctl.design.arm_excitation import CLEARANCE_M, TORQUE_SHARE, Excitation, Multisine, excitation_along
+from armctl.design.arm_excitation import CLEARANCE_M, NOT_PROVED, TORQUE_SHARE, Excitation, Multisine, excitation_along
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Samples, hermite, sample
@@ -81,7 +81,7 @@ def multisine_excitation(
             continue
         clearance = clearance_of(checker, motion, CLEARANCE_M)
         if clearance:
-            found = excitation_along(motion, "frequency", float("nan"), clearance.distance)
+            found = excitation_along(motion, "frequency", float("nan"), NOT_PROVED if checker.not_checkable else clearance.distance)
             return replace(found, multisine=multisine)
         reason = clearance.reason
     raise PlanError(f"{arm.name:.80}: no multisine around q = {np.round(q, 3)} is safe: {reason:.200}")

@@ -170,9 +170,11 @@ def test_random_chunks_jumps_and_gaps_break_no_limit(arm, seed: int):
                 count = rng.integers(1, 30)
                 times = stream.t + rng.uniform(-0.2, 0.2) + rng.uniform(0.005, 0.1) * np.arange(count)
                 walk = rng.standard_normal((count, arm.n)) * rng.choice([0.001, 0.01, 0.1, 0.5])
-                stream.push_chunk(times, q + np.cumsum(walk, axis=0))
+                far = q + np.cumsum(walk, axis=0)
+                stream.push_chunk(times, np.clip(far, limits.q_min - 3.0, limits.q_max + 3.0))
             case 1:
-                stream.push(stream.t - rng.uniform(0.0, 0.1), q + rng.standard_normal(arm.n) * rng.choice([0.001, 0.1, 10.0]))
+                far = q + rng.standard_normal(arm.n) * rng.choice([0.001, 0.1, 10.0])
+                stream.push(stream.t - rng.uniform(0.0, 0.1), np.clip(far, limits.q_min - 3.0, limits.q_max + 3.0))
             case 2:
                 stream.push(stream.t, rng.uniform(limits.q_min, limits.q_max))
             case 3:
@@ -219,7 +221,7 @@ def test_duplicates_and_reversed_times_are_dropped_and_counted(arm):
 
 def test_targets_outside_the_limits_are_moved_inside_and_counted(arm):
     stream = armctl.Stream(arm, arm.home)
-    stream.push(0.0, np.full(arm.n, 100.0))
+    stream.push(0.0, arm.limits.q_max + 3.0)
     stream.step(5.0)
     assert stream.report.clamped == 1
     assert stream.setpoint.q == pytest.approx(arm.limits.q_max, abs=1e-7)
