@@ -81,7 +81,8 @@ def multisine_excitation(
             continue
         clearance = clearance_of(checker, motion, CLEARANCE_M)
         if clearance:
-            found = excitation_along(motion, "frequency", float("nan"), NOT_PROVED if checker.not_checkable else clearance.distance)
+            proved = NOT_PROVED if checker.not_checkable else clearance.distance
+            found = excitation_along(motion, "frequency", float("nan"), proved)
             return replace(found, multisine=multisine)
         reason = clearance.reason
     raise PlanError(f"{arm.name:.80}: no multisine around q = {np.round(q, 3)} is safe: {reason:.200}")
