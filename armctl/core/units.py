@@ -1,6 +1,14 @@
 """Units of joint quantities: rad and N m for hinge joints, m and N for slide joints."""
 
+import math
 from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Joint positions that are further outside their limits are taken for another unit.
+_FAR_RAD = math.pi
+_FAR_M = 1.0
 
 
 def of_joints(slides: Iterable[bool]) -> tuple[str, ...]:
@@ -11,6 +19,29 @@ def of_joints(slides: Iterable[bool]) -> tuple[str, ...]:
 def of_torque(units: Iterable[str]) -> tuple[str, ...]:
     """The unit of each joint's torque, "N m" or "N", from the unit of its position."""
     return tuple("N" if unit == "m" else "N m" for unit in units)
+
+
+def far(units: Iterable[str]) -> NDArray[np.float64]:
+    """How far outside its limits each joint's position is so far that it is taken for another unit, rad or m."""
+    return np.array([_FAR_M if unit == "m" else _FAR_RAD for unit in units])
+
+
+def question(unit: str, excess: float, remedy: str = "") -> str:
+    """The question whether a joint's position has another unit, to append to a sentence.
+
+    Args:
+        unit: The unit of the joint's position.
+        excess: In this unit, by which the position is outside the limits.
+        remedy: What to do; by default how to convert it.
+
+    Returns:
+        The question; empty if the position is not far outside.
+    """
+    if not excess > far([unit])[0]:
+        return ""
+    if unit == "m":
+        return f"; millimetres? {remedy or 'slide joints are in m'}"
+    return f"; degrees? {remedy or 'np.radians converts them'}"
 
 
 def label(units: Iterable[str], per: str = "") -> str:

@@ -15,7 +15,7 @@ from armctl.core.log import Log
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.result import Verdict
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, IntArray, choice
+from armctl.core.validation import Array, IntArray, choice, instance
 from armctl.design.arm_excitation import Excitation
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
@@ -126,6 +126,7 @@ class FrequencyResponse(Verdict):
             InputError: An argument is of another kind, the log is too short or has another interval, or torques are missing.
         """
         of = choice("of", of, OF)
+        instance("log", log, Log, "armctl.simulate and armctl.Log.from_csv give one")
         index = joint_index(log.joint_names, joint)
         found = recorded_response(log, motion, index, of, loop, positions)
         reason = log.failure or _disturbance(log)

@@ -85,7 +85,6 @@ def recorded_response(
 
 def _multisine(log: Log, motion: Excitation, index: int) -> Multisine:
     """The periods of a motion that a log contains, and the lines below its Nyquist frequency."""
-    instance("log", log, Log, "armctl.simulate and armctl.Log.from_csv give one")
     instance("motion", motion, Excitation, "armctl.excitation(arm, for_='frequency') gives one")
     multisine = motion.multisine
     if multisine is None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl.core import units
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.result import Verdict
 from armctl.core.validation import Array
@@ -92,7 +93,7 @@ def model_refusal(arm: Arm, seen: Seen, T_base_tip: Array | None, set_payload: f
         return (
             f"{arm.joint_names[joint]} of the robot is at {seen.q[joint]:.4f} rad, outside the range of the model, "
             f"[{low:.4f}, {high:.4f}] rad; move it into the range by hand, or load the right model"
-            f"{arm.unit_question(joint, float(outside[joint]), 'a link reads rad')}"
+            f"{units.question(arm.units[joint], float(outside[joint]), 'a link reads rad')}"
         )
     if T_base_tip is not None:
         difference = tip_difference(arm, seen.q, T_base_tip)

@@ -56,17 +56,6 @@ class Actuation:
         """ "N m" for each joint that turns, "N" for each that slides."""
         return units.of_torque(self.units)
 
-    def motor_torques(self, data: mujoco.MjData) -> Array:
-        """The torques of the motors in the last step: what else acts on a joint, such as friction, is not among them.
-
-        Args:
-            data: The state of a model with these motors.
-
-        Returns:
-            (n,) N m at the joints.
-        """
-        return data.actuator_force[self.motor_adr] * self.gear
-
     @classmethod
     def from_model(
         cls, model: mujoco.MjModel, joint_map: JointMap, transmissions: Sequence[Transmission], limits: Limits

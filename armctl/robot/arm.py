@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import _core
+from armctl.core import units
 from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.other_names import with_hints
@@ -28,9 +29,6 @@ from armctl.robot.dynamics import Dynamics, core_model
 from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
-# Joint positions that are further outside their limits are taken for another unit.
-_FAR_RAD = np.pi
-_FAR_M = 1.0
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
 _ROUNDING = 1e-9  # relative, of a torque limit that was divided by a gear and multiplied by it
 
@@ -190,7 +188,7 @@ class Arm:
         if outside.any():
             i = int(outside.argmax())
             excess = float(max(low[i] - given[i], given[i] - high[i]))
-            raise LimitError(f"{what}: {self._outside(i, float(given[i]))}{self.unit_question(i, excess)}")
+            raise LimitError(f"{what}: {self._outside(i, float(given[i]))}{units.question(self.units[i], excess)}")
         return self.limits.clamp(given)
 
     def check_units(self, what: str, q: ArrayLike, remedy: str = "") -> None:
@@ -200,43 +198,24 @@ class Arm:
 
         Args:
             what: The name of the argument, for the error.
-            q: (n,) or (T, n) rad (m for a slide joint).
+            q: (n,), or an array (T, n), rad (m for a slide joint); NaN passes.
             remedy: What to do, for the error; by default how to convert them.
 
         Raises:
+            InputError: A wrong number of columns.
             LimitError: A position is far outside its limits.
         """
-        given = np.asarray(q, dtype=np.float64).reshape(-1, self.n)
+        rows = q if isinstance(q, np.ndarray) and q.ndim == 2 else [vector(what, q, self.n, finite=False)]
+        given = matrix(what, rows, self.n, finite=False)
         if ((given >= self.limits.q_min) & (given <= self.limits.q_max)).all():
             return
         excess = np.maximum(self.limits.q_min - given, given - self.limits.q_max)
-        far = excess > self._far
+        far = excess > units.far(self.units)
         if far.any():
             row = int(far.any(axis=1).argmax())
             i = int(far[row].argmax())
-            question = self.unit_question(i, float(excess[row, i]), remedy)
+            question = units.question(self.units[i], float(excess[row, i]), remedy)
             raise LimitError(f"{what}: {self._outside(i, float(given[row, i]))}{question}")
-
-    def unit_question(self, joint: int, excess: float, remedy: str = "") -> str:
-        """The question whether a position has another unit, to append to a sentence.
-
-        Args:
-            joint: Its number.
-            excess: rad (m) by which the position is outside the limits.
-            remedy: As for `check_units`.
-
-        Returns:
-            The question; empty if the position is not far outside.
-        """
-        if not excess > self._far[joint]:
-            return ""
-        if self.units[joint] == "m":
-            return f"; millimetres? {remedy or 'slide joints are in m'}"
-        return f"; degrees? {remedy or 'np.radians converts them'}"
-
-    @property
-    def _far(self) -> Array:
-        return np.where(np.array(self.units) == "m", _FAR_M, _FAR_RAD)
 
     def _outside(self, i: int, value: float) -> str:
         low = self.limits.q_min[i]

@@ -167,8 +167,8 @@ class Stepper:
 
     @property
     def motor_torque(self) -> Array:
-        """(n,) N m, the torque of the motors in the last tick."""
-        return self.actuation.motor_torques(self.data)
+        """(n,) N m at the joints, of the motors in the last tick; what else acts on a joint, as friction, is not among it."""
+        return self.data.actuator_force[self.actuation.motor_adr] * self.actuation.gear
 
     def tip_pose(self, arm: Arm) -> Pose:
         """The pose of an arm's tip in the simulation now, T_world_tip."""
