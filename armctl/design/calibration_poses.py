@@ -34,7 +34,8 @@ class CalibrationPoses:
     Attributes:
         q: (K, n) rad. The straight line in joint space from `start` to each is proved free.
         start: (n,) rad, the configuration between the poses.
-        clearance: m, more than which the arm keeps from everything at each pose and on each of these lines.
+        clearance: m, more than which the arm keeps from everything at each pose and on each of these lines; nan for an arm
+            with links that have no shape.
         names: The parameters that the poses show.
         condition_number: Of the Jacobian with columns of equal length; below 100 is good.
         information: The D-optimal criterion: geometric mean over the parameters of the information, relative to as many random
@@ -112,7 +113,7 @@ def calibration_poses(
     return CalibrationPoses(
         q=frozen(q[chosen]),
         start=frozen(np.array(start)),
-        clearance=clearance,
+        clearance=float("nan") if arm.unchecked_links else clearance,
         names=tuple(parameter.name for parameter in known),
         condition_number=float(np.linalg.cond(np.concatenate(J[chosen]))),
         information=float(np.exp((_log_information(J[chosen]) - random_poses) / max(len(known), 1))),

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checkers import collision_checker
+from armctl.collision.checkers import checkable
 from armctl.core.errors import InputError, LimitError
 from armctl.core.pose import Pose, computed_pose, rotation_from_vector
 from armctl.core.target import Target, TargetLike
@@ -108,10 +108,11 @@ class Stream:
             InputError: A wrong length or type, a number that is not finite, or an arm without limits on velocity,
                 acceleration or jerk.
             LimitError: A start outside the position limits, or so fast that no stop inside them is possible.
+            ModelError: `avoid`, and a link has no collision shape.
         """
         self._arm = planning_arm(arm, number("speed", speed, 1e-3, 1.0))
         start = start_state(self._arm, q_start)
-        checker = collision_checker(self._arm) if flag("avoid", avoid) else None
+        checker = checkable(self._arm) if flag("avoid", avoid) else None
         if refusal is not None and not callable(refusal):
             raise InputError(f"refusal: expected a function of a motion's pieces, got {shown(refusal)}")
         self._planner = CommittedMotion(self._arm, checker, refusal)

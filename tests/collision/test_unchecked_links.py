@@ -66,6 +66,11 @@ def test_an_arm_whose_meshes_are_all_missing_is_nowhere_proved(tmp_path):
         armctl.move_free(arm, arm.home, arm.home + 0.2)
     with pytest.raises(armctl.ModelError, match="not checkable: link0"):
         armctl.solve_ik(arm, [0.5, 0.1, 0.5], avoid_collisions=True)
+    with pytest.raises(armctl.ModelError, match="not checkable: link0"):
+        armctl.Stream(arm, arm.home, avoid=True)
+    for design in (lambda: armctl.excitation(arm, for_="frequency"), lambda: armctl.calibration_poses(arm)):
+        with pytest.raises(armctl.ModelError, match="not checkable: link0"):
+            design()
     with pytest.raises(armctl.ModelError, match=r"not checkable: link0.*allow_contact=True"):
         armctl.Robot(arm, armctl.DryRun(armctl.links.PlantLink(arm)))
 
@@ -84,6 +89,12 @@ def test_a_robot_that_may_touch_moves_an_arm_without_shapes_only_if_nothing_is_t
         result = robot.move_j(arm.home + 0.2, avoid=False)
     assert result.ok
     assert "contacts are not checkable" in capsys.readouterr().out
+
+
+def test_nothing_is_proved_of_a_design_for_an_arm_without_shapes_that_is_alone(tmp_path):
+    arm = quietly(write_urdf(tmp_path / "r.urdf", [""] * 6))
+    assert math.isnan(armctl.excitation(arm, for_="frequency").clearance)
+    assert math.isnan(armctl.calibration_poses(arm).clearance)
 
 
 @pytest.mark.parametrize("missing", [(0,), (5,), (1, 3), (0, 1, 2, 3)])
