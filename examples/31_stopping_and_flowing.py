@@ -29,5 +29,5 @@ for axes, value in zip(figure.subplots(2, 1), ("q", "v"), strict=True):
     axes.legend()
 figure.savefig(folder / "stopping_and_flowing.png", dpi=120)
 print(f"drawn: {folder / 'stopping_and_flowing.png'}")
-print(flowing.check_limits())
+print(f"inside all limits: {flowing.check_limits().ok}")
 print(f"stopping takes {stopping.duration:.2f} s, flowing {flowing.duration:.2f} s: {flowing.duration / stopping.duration:.0%}")

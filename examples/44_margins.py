@@ -8,7 +8,6 @@ plant = armctl.Plant(timestep=0.001)
 for name in ("pd-gravity", "computed-torque", "computed-torque-observer"):
     worst = armctl.margins(arm, name, poses=10, plants=[plant])
     print(worst)
-    print(f"  the least delay margin is at q = {worst.delay.q.round(2)}")
 
 loop = armctl.linearize(arm, "computed-torque-observer", worst.delay.q, plant, delay=0.002)
 print(f"with two ticks of delay: Ms {loop.margins().peak_sensitivity:.2f}")
