@@ -19,8 +19,10 @@ _WORDS = {
     "noise": "noise of encoders, times 1e-5 rad (1); velocities are position differences",
     "all": "payload, mass, friction, delay and noise at once",
 }
-_SINGLE = (Kind.NUMBER, Kind.WHOLE_NUMBER, Kind.PER_JOINT, Kind.WORD, Kind.FLAG)
-_ATTRIBUTES = {name: each for name, each in PLANT_ATTRIBUTES.items() if each.is_factor and each.kind in _SINGLE}
+_THREE = (Kind.POINT, Kind.INERTIA)  # numbers, with this between them
+_BETWEEN = ":"
+_KINDS = (Kind.NUMBER, Kind.WHOLE_NUMBER, Kind.PER_JOINT, Kind.WORD, Kind.FLAG, *_THREE)
+_ATTRIBUTES = {name: each for name, each in PLANT_ATTRIBUTES.items() if each.is_factor and each.kind in _KINDS}
 PLANTS = (*_WORDS, *_ATTRIBUTES)
 
 
@@ -49,6 +51,8 @@ def _with(plant: Plant, name: str, value: str, arm: Arm) -> Plant:
     attribute = PLANT_ATTRIBUTES.get(name)
     if attribute is not None and attribute.kind is Kind.WORD and (name not in _WORDS or value in attribute.words):
         return replace(plant, **{name: value})
+    if attribute is not None and attribute.kind in _THREE:
+        return replace(plant, **{name: [_number(name, each) for each in value.split(_BETWEEN)]})
     amount = _number(name, value)
     if name == "friction":
         dry = amount * arm.limits.tau_max
@@ -62,7 +66,8 @@ def _number(name: str, text: str) -> float:
     if not text and name in _DEFAULT:
         return _DEFAULT[name]
     if not text:
-        raise InputError(f"{name!r} needs a value, as in '{name}=1'")
+        example = _BETWEEN.join("000") if name in _ATTRIBUTES and _ATTRIBUTES[name].kind in _THREE else "1"
+        raise InputError(f"{name!r} needs a value, as in '{name}={example}'")
     try:
         value = float(text)
     except ValueError:

@@ -118,7 +118,12 @@ def _condition_number(arm: Arm, motion: JointTrajectory) -> float:
         return float("inf")
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
     states = motion.sample(np.linspace(0.0, motion.duration, _CONDITION_SAMPLES))[:3]
-    Y = np.array([dynamics.payload_regressor(*row) / arm.limits.tau_max[:, None] for row in zip(*states, strict=True)])
+    Y = np.array(
+        [
+            dynamics.payload_regressor(*row)[:, :_PAYLOAD_PARAMETERS] / arm.limits.tau_max[:, None]
+            for row in zip(*states, strict=True)
+        ]
+    )
     return condition_number(Y.reshape(-1, _PAYLOAD_PARAMETERS))
 
 
@@ -186,7 +191,8 @@ def _ranked_sets(arm: Arm, rng: np.random.Generator) -> list[_Set]:
     for k in range(_SETS):
         size = k % _SIZES
         between = home + 0.5**size * (rng.uniform(low, high, (_CONFIGURATIONS, arm.n)) - home)
-        Y = np.vstack([dynamics.payload_regressor(q, zero, zero) / limits.tau_max[:, None] for q in between])
+        held = [dynamics.payload_regressor(q, zero, zero)[:, :_PAYLOAD_PARAMETERS] for q in between]
+        Y = np.vstack([each / limits.tau_max[:, None] for each in held])
         scores.append(float(np.linalg.slogdet(Y.T @ Y + _REGULARIZATION * np.eye(_PAYLOAD_PARAMETERS))[1]))
         sets.append(_Set(size, np.vstack([home, between, home])))
     order = sorted(range(_SETS), key=lambda k: -scores[k])

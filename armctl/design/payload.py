@@ -1,4 +1,4 @@
-"""Payload identification: the mass at the tip, its centre, and the friction of the joints, from one run."""
+"""Payload identification: mass, centre and inertia of a body at the tip, and the friction of the joints, from one run."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, frozen, instance
+from armctl.design.pseudo_inertia import tensor_of
+from armctl.loading.inertias import nearest_inertia
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
-_PAYLOAD_PARAMETERS = 4  # mass and first moment; behind them come Coulomb and viscous friction of each joint
+_MOMENT = slice(1, 4)  # behind the mass
+_INERTIA = slice(4, 10)  # elements about the centre of mass
+_PAYLOAD_PARAMETERS = 10  # behind them come Coulomb and viscous friction of each joint
 _CUTOFF_HZ = 10.0  # -3 dB, of the zero-phase filter that both sides of the fit go through
 _FILTER_SIGMAS = 4.0  # at which its Gaussian window ends
 _MIN_WINDOWS = 4  # that a run must last
@@ -22,11 +26,15 @@ _MIN_SPEED = 0.05  # rad/s (m/s): below it the sign of a velocity is noise, and 
 _TORQUE_NOISE = 2e-3  # of the torque limit: no joint's torque is known better, however well a fit goes
 _MAX_RELATIVE_ERROR = 0.1  # of the mass; with a larger standard error nothing is identified
 _SMALL_MASS_KG = 0.5  # from which on the error is relative to the mass
-_PRIOR = (50.0, 0.5, 0.5, 0.5)  # kg and kg m, standard deviations: parameters that are not shown stay within them
+# Standard deviations, kg, kg m and kg m^2: parameters that are not shown stay within them.
+_PRIOR = (50.0, *(0.5,) * 3)
+_PRIOR_GYRATION = 0.1  # m, the radius that gives a body of the mass found so far, or of the small one, its moments of inertia
 _MAX_SATURATED_SHARE = 0.05  # of a run that a motor spends at its torque limit
 _MIN_OSCILLATION = 0.2  # rad/s (m/s): smaller differences from the velocity of the reference are noise
-_ROUNDS = 4  # of the fit: inertia is not linear in a payload's centre, and joints differ in noise
-_FINDING_ERRORS = 3.0  # standard errors by which the model's friction must be too high to be reported
+_ROUNDS = 8  # of the fit: inertia is not linear in a payload's centre, and joints differ in noise
+_FINDING_ERRORS = (
+    3.0  # standard errors by which friction in the model is too high, or a moment of inertia above 0, to be reported
+)
 _STATES = 20  # random states at which the regressor of the mass is compared with that of the centre
 _MIN_INDEPENDENT_SHARE = 1e-6  # of the mass's regressor that is not round-off
 
@@ -42,6 +50,8 @@ class PayloadEstimate(Verdict):
         mass_error: kg, its standard error.
         center: (3,) m, in the tip's frame.
         center_error: (3,) m, standard errors; infinite if the run does not determine the center.
+        inertia: (3, 3) kg m^2 about the center of mass, in the tip's axes: of the body that is nearest to what was fitted.
+        inertia_error: (3, 3) kg m^2, standard errors of what was fitted; infinite if the run does not determine an element.
         coulomb_friction: (n,) N m of dry friction.
         coulomb_error: (n,) N m, standard errors.
         viscous_friction: (n,) N m s/rad of damping.
@@ -55,6 +65,8 @@ class PayloadEstimate(Verdict):
     mass_error: float
     center: Array
     center_error: Array
+    inertia: Array
+    inertia_error: Array
     coulomb_friction: Array
     coulomb_error: Array
     viscous_friction: Array
@@ -67,6 +79,10 @@ class PayloadEstimate(Verdict):
         known = zip(self.center, self.center_error, strict=True)
         center = ", ".join(f"{1e3 * c:.1f}+-{1e3 * e:.1f}" if math.isfinite(e) else "not shown" for c, e in known)
         payload = f"{self.mass:.4f}+-{self.mass_error:.4f} kg at [{center}] mm from the tip"
+        moments = list(zip(self.inertia.diagonal(), self.inertia_error.diagonal(), strict=True))
+        if any(moment > _FINDING_ERRORS * error for moment, error in moments):
+            listed = ", ".join(f"{m:.5f}+-{e:.5f}" if math.isfinite(e) else "not shown" for m, e in moments)
+            payload += f", moments of inertia [{listed}] kg m^2"
         return "\n".join([payload, *self.findings])
 
     def applied_to(self, arm: Arm) -> Arm:
@@ -88,16 +104,19 @@ class PayloadEstimate(Verdict):
             raise InputError(f"arm: {arm.n} joints, but the estimate is of an arm with {len(self.coulomb_friction)}")
         coulomb = np.maximum(self.coulomb_friction, -arm.model.dof_frictionloss[arm.dof_adr])
         viscous = np.maximum(self.viscous_friction, -arm.model.dof_damping[arm.dof_adr])
-        return arm.with_payload(max(self.mass, 0.0), self.center, coulomb_friction=coulomb, viscous_friction=viscous)
+        mass = max(self.mass, 0.0)
+        inertia = self.inertia if mass else np.zeros(3)
+        return arm.with_payload(mass, self.center, inertia, coulomb_friction=coulomb, viscous_friction=viscous)
 
 
 def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
     """Identifies payload and friction from the torques of a run.
 
-    Least squares of the torques that the arm's model leaves over on {m, m c} at the tip, Coulomb and viscous friction, both
-    sides through the same zero-phase filter; after Swevers, Verdonck, De Schutter, "Dynamic model identification for industrial
-    robots" (2007), and Gautier, "Dynamic identification of robots with power model" (1997) for the filter. All ten inertial
-    parameters of a payload would be ill-conditioned; its inertia is taken to be a point mass's.
+    Least squares of the torques that the arm's model leaves over on the ten inertial parameters of a body at the tip, Coulomb
+    and viscous friction, both sides through the same zero-phase filter; after Swevers, Verdonck, De Schutter, "Dynamic model
+    identification for industrial robots" (2007), and Gautier, "Dynamic identification of robots with power model" (1997) for
+    the filter. A motion that is slow, or an arm with much friction, hardly shows the inertia about the center of mass: a wide
+    prior keeps it small then, and its standard error is large.
 
     Args:
         log: A run of it with the payload, best along `excitation`.
@@ -173,21 +192,25 @@ class _Fit:
         self._v = log.v[:-1]
         self._tau = log.tau[:-1]
         self._a = np.diff(log.v, axis=0) / log.dt
-        self._prior = np.concatenate([_PRIOR, np.tile(arm.limits.tau_max, 2)])
+        self.prior = np.concatenate([_PRIOR, np.zeros(6), np.tile(arm.limits.tau_max, 2)])
         self._noise = _TORQUE_NOISE * arm.limits.tau_max
-        self.theta = np.zeros(len(self._prior))
+        self.theta = np.zeros(len(self.prior))
         self._used = np.abs(self._filtered(self._v)) > _MIN_SPEED
+        dynamics = Dynamics(arm.model, arm.pinocchio_model)
+        rows = zip(self._q, self._v, self._a, strict=True)
+        self._regressors = np.array([dynamics.payload_regressor(*row) for row in rows])  # (T, n, 10)
         self._X = self._columns()[self._used]
-        self.error = self._prior
+        self.error = self.prior
 
     def improve(self) -> None:
         """A Gauss-Newton step, each joint weighed by its noise, the prior as weak as it is wide."""
+        self.prior[_INERTIA] = max(self.theta[0], _SMALL_MASS_KG) * _PRIOR_GYRATION**2
         residual = self._filtered(self._left_over())
         scale = (1 / np.broadcast_to(self._noise, self._used.shape))[self._used]
         X = self._X * scale[:, None]
         r = residual[self._used] * scale
-        information = X.T @ X + np.diag(self._prior**-2.0)
-        self.theta = self.theta + np.linalg.solve(information, X.T @ r - self.theta / self._prior**2)
+        information = X.T @ X + np.diag(self.prior**-2.0)
+        self.theta = self.theta + np.linalg.solve(information, X.T @ r - self.theta / self.prior**2)
         self.error = np.sqrt(np.diag(np.linalg.inv(information)))
         left = np.zeros(self._used.shape)
         left[self._used] = residual[self._used] - self._X @ np.linalg.solve(information, X.T @ r)
@@ -195,10 +218,9 @@ class _Fit:
         self._noise = np.maximum(spread, _TORQUE_NOISE * self.arm.limits.tau_max)
 
     def _columns(self) -> Array:
-        """(T, n, 4 + 2 n): what each parameter adds to each joint's torque, filtered."""
-        dynamics = Dynamics(self.arm.model, self.arm.pinocchio_model)
+        """(T, n, 10 + 2 n): what each parameter adds to each joint's torque, filtered."""
         n = self.arm.n
-        payload = np.array([dynamics.payload_regressor(*row) for row in zip(self._q, self._v, self._a, strict=True)])
+        payload = self._regressors
         eye = np.eye(n)
         return np.concatenate(
             [
@@ -212,7 +234,7 @@ class _Fit:
     def _left_over(self) -> Array:
         """(T, n) N m that the model with the parameters so far does not explain."""
         mass = self.theta[0]
-        moment = self.theta[1:_PAYLOAD_PARAMETERS]
+        moment = self.theta[_MOMENT]
         coulomb, viscous = self.theta[_PAYLOAD_PARAMETERS:].reshape(2, -1)
         positive = mass > _MAX_RELATIVE_ERROR * _SMALL_MASS_KG
         known = self.arm.with_payload(mass, moment / mass) if positive else self.arm
@@ -220,12 +242,10 @@ class _Fit:
         rows = zip(self._q, self._v, self._a, strict=True)
         explained = np.array([dynamics.discrete_inverse_dynamics(q, v, a, self._dt) for q, v, a in rows])
         explained += np.sign(self._v) * (dynamics.friction_loss + coulomb) + self._v * viscous
-        left = self._tau - explained
-        if not positive:
-            bare = Dynamics(self.arm.model, self.arm.pinocchio_model)
-            regressors = (bare.payload_regressor(*row) for row in zip(self._q, self._v, self._a, strict=True))
-            left -= np.array([Y @ self.theta[:_PAYLOAD_PARAMETERS] for Y in regressors])
-        return left
+        linear = self.theta[:_PAYLOAD_PARAMETERS].copy()
+        if positive:
+            linear[: _INERTIA.start] = 0.0
+        return self._tau - explained - self._regressors @ linear
 
 
 def _judged(fit: _Fit) -> PayloadEstimate:
@@ -239,7 +259,7 @@ def _judged(fit: _Fit) -> PayloadEstimate:
         reason = f"the mass is known to {error:.2g} kg only, {why}"
     elif mass < -2 * error:
         reason = f"the torques ask for a payload of {mass:.3g} kg: the arm's model has too much mass already"
-    return _estimate(fit.arm, reason, fit.theta, fit.error)
+    return _estimate(fit.arm, reason, fit.theta, fit.error, fit.prior)
 
 
 def _can_show_mass(arm: Arm) -> bool:
@@ -254,12 +274,11 @@ def _can_show_mass(arm: Arm) -> bool:
     return bool(np.linalg.norm(Y[:, 0] - explained) > _MIN_INDEPENDENT_SHARE * np.linalg.norm(Y))
 
 
-def _estimate(arm: Arm, reason: str, theta: Array, error: Array) -> PayloadEstimate:
+def _estimate(arm: Arm, reason: str, theta: Array, error: Array, prior: Array) -> PayloadEstimate:
     known = abs(theta[0]) > _MAX_RELATIVE_ERROR * _SMALL_MASS_KG
-    center = theta[1:_PAYLOAD_PARAMETERS] / theta[0] if known else np.zeros(3)
-    shown = known & (error[1:_PAYLOAD_PARAMETERS] < 0.5 * np.array(_PRIOR[1:]))  # beyond that it is the prior's
-    center_error = np.full(3, np.inf)
-    center_error[shown] = error[1:_PAYLOAD_PARAMETERS][shown] / abs(theta[0])
+    center = theta[_MOMENT] / theta[0] if known else np.zeros(3)
+    shown = known & (error[:_PAYLOAD_PARAMETERS] < 0.5 * prior[:_PAYLOAD_PARAMETERS])  # beyond that it is the prior's
+    errors = np.where(shown, error[:_PAYLOAD_PARAMETERS], np.inf)
     coulomb, viscous = theta[_PAYLOAD_PARAMETERS:].reshape(2, arm.n)
     coulomb_error, viscous_error = error[_PAYLOAD_PARAMETERS:].reshape(2, arm.n)
     return PayloadEstimate(
@@ -268,7 +287,9 @@ def _estimate(arm: Arm, reason: str, theta: Array, error: Array) -> PayloadEstim
         mass=float(theta[0]),
         mass_error=float(error[0]),
         center=frozen(center.copy()),
-        center_error=frozen(center_error),
+        center_error=frozen(errors[_MOMENT] / max(abs(theta[0]), 1e-9)),
+        inertia=frozen(nearest_inertia(tensor_of(theta[_INERTIA])) if known else np.zeros((3, 3))),
+        inertia_error=frozen(tensor_of(errors[_INERTIA])),
         coulomb_friction=frozen(coulomb.copy()),
         coulomb_error=frozen(coulomb_error.copy()),
         viscous_friction=frozen(viscous.copy()),
@@ -289,4 +310,4 @@ def _findings(arm: Arm, frictions: tuple[Array, Array], errors: tuple[Array, Arr
 
 def _nothing(arm: Arm, reason: str) -> PayloadEstimate:
     unknown = np.full(_PAYLOAD_PARAMETERS + 2 * arm.n, np.nan)
-    return _estimate(arm, reason, unknown, unknown)
+    return _estimate(arm, reason, unknown, unknown, unknown)

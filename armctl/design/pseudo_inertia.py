@@ -11,19 +11,25 @@ Parameters are in Pinocchio's order: m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
 import numpy as np
 
 from armctl.core.validation import Array
+from armctl.robot.dynamics import TENSOR_ELEMENTS
 
 PARAMETERS = 10
-_ROWS = np.array([0, 0, 1, 0, 1, 2])  # of Ixx, Ixy, Iyy, Ixz, Iyz, Izz
-_COLUMNS = np.array([0, 1, 1, 2, 2, 2])
 _MIN_RELATIVE_SPREAD = 1e-6  # of the second moment in directions in which a nominal link has no extent
 _UPPER = np.triu_indices(4, 1)
 
 
+def tensor_of(elements: Array) -> Array:
+    """The symmetric (3, 3) with (6,) `TENSOR_ELEMENTS`."""
+    rows, columns = TENSOR_ELEMENTS
+    tensor = np.empty((3, 3))
+    tensor[rows, columns] = elements
+    tensor[columns, rows] = elements
+    return tensor
+
+
 def pseudo_inertia(parameters: Array) -> Array:
     """(4, 4) from (10,)."""
-    inertia = np.zeros((3, 3))
-    inertia[_ROWS, _COLUMNS] = parameters[4:]
-    inertia[_COLUMNS, _ROWS] = parameters[4:]
+    inertia = tensor_of(parameters[4:])
     P = np.empty((4, 4))
     P[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     P[:3, 3] = parameters[1:4]
@@ -36,7 +42,7 @@ def inertial_parameters(P: Array) -> Array:
     """(10,) from (4, 4): the inverse of `pseudo_inertia`."""
     S = P[:3, :3]
     inertia = np.trace(S) * np.eye(3) - S
-    return np.concatenate([[P[3, 3]], P[:3, 3], inertia[_ROWS, _COLUMNS]])
+    return np.concatenate([[P[3, 3]], P[:3, 3], inertia[TENSOR_ELEMENTS]])
 
 
 def is_consistent(parameters: Array) -> bool:

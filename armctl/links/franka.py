@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LinkError, import_extra
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, flag, number, vector
+from armctl.core.validation import Array, as_array, flag, inertia_tensor, number, vector
 from armctl.links.envelope import Envelope
 from armctl.links.link import Link, Seen
 
@@ -62,7 +62,7 @@ class Franka(Link):
         *,
         payload: float = 0.0,
         payload_center: ArrayLike = (0.0, 0.0, 0.0),
-        payload_inertia: ArrayLike = (0.0,) * 9,
+        payload_inertia: ArrayLike = (0.0, 0.0, 0.0),
         real_time: bool = True,
     ):
         """A robot that is not connected yet.
@@ -71,7 +71,8 @@ class Franka(Link):
             host: Its address.
             payload: kg, which the robot is set to, besides its hand.
             payload_center: (3,) m, its center of mass in the flange's frame.
-            payload_inertia: (9,) kg m^2, column by column.
+            payload_inertia: kg m^2 about its center of mass, in the flange's axes: (3,) moments, a (3, 3) matrix, or the (9,)
+                numbers of the matrix.
             real_time: Whether the process must get a real-time priority, as Franka demands for a robot.
 
         Raises:
@@ -84,7 +85,8 @@ class Franka(Link):
         self.address = host
         self.payload: float | None = number("payload", payload, 0.0)
         self._center: Array = vector("payload_center", payload_center, 3)
-        self._inertia: Array = vector("payload_inertia", payload_inertia, 9)
+        numbers = as_array("payload_inertia", payload_inertia)
+        self._inertia = inertia_tensor("payload_inertia", numbers.reshape(3, 3) if numbers.shape == (9,) else numbers)
         self._real_time = flag("real_time", real_time)
         self._robot: Any = None
         self._control: Any = None
@@ -99,7 +101,7 @@ class Franka(Link):
             forces = [_COLLISION_FORCE] * 6
             self._robot.set_collision_behavior(torques, torques, forces, forces)
             if self.payload:
-                self._robot.set_load(self.payload, self._center.tolist(), self._inertia.tolist())
+                self._robot.set_load(self.payload, self._center.tolist(), self._inertia.ravel().tolist())
 
     def read(self) -> Seen:
         return self._seen(self._state())

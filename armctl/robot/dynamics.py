@@ -23,6 +23,8 @@ from armctl.robot.passive_forces import DryFriction, PassiveForces
 from armctl.robot.pinocchio_model import PinocchioModel
 
 _TOLERANCE = 1e-9  # relative, between the core and Pinocchio, as between Pinocchio and MuJoCo
+# Rows and columns of a tensor's elements in the order of Pinocchio's parameters: xx, xy, yy, xz, yz, zz.
+TENSOR_ELEMENTS = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
 _CHECKED_STATES = 3
 
 rnea = pin.rnea  # the innermost call of a control period: a look-up in the module takes a noticeable share of it
@@ -97,10 +99,11 @@ class Dynamics:
         return self._solve_mass_matrix(q, tau - self.inverse_dynamics(q, v, np.zeros_like(v)))
 
     def payload_regressor(self, q: Array, v: Array, a: Array) -> Array:
-        """(n, 4): `regressor @ [m, m cx, m cy, m cz]` is the torque of a point mass m at c in the tip's frame.
+        """(n, 10): the first four times [m, m cx, m cy, m cz] are the torque of a point mass m at c in the tip's frame.
 
-        The inertia m c c^T about the tip is not linear in these four and is left out: it is small if c is. ModelError
-        if a joint of the arm follows another: Pinocchio has no regressor for that.
+        The last six times [Ixx, Ixy, Iyy, Ixz, Iyz, Izz] are that of an inertia about c in the tip's axes. The inertia m c c^T
+        about the tip is not linear in m and m c and is left out: it is small if c is. ModelError if a joint of the arm follows
+        another: Pinocchio has no regressor for that.
         """
         if self._followers:
             raise ModelError(f"{self._followers[0]}: no payload can be identified where one joint follows another")
@@ -177,17 +180,22 @@ def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioM
 
 
 def _payload_basis(T_last_tip: Array) -> Array:
-    """(10, 4): Pinocchio's ten inertial parameters in the last joint's frame from m and m c in the tip's.
+    """(10, 10): Pinocchio's ten inertial parameters in the last joint's frame from m, m c and the inertia about c in the tip's.
 
-    With p = r + R c, a point mass has first moment m p and second moment S = m p p^T, of which I = tr(S) 1 - S.
+    With p = r + R c, a point mass has first moment m p and second moment S = m p p^T, of which I = tr(S) 1 - S. An inertia I
+    about c is R I R^T in the last joint's axes, wherever c is.
     """
     R = T_last_tip[:3, :3]
     r = T_last_tip[:3, 3]
-    basis = np.zeros((10, 4))
+    basis = np.zeros((10, 10))
     for k in range(4):
         m = 1.0 if k == 0 else 0.0
         h = np.zeros(3) if k == 0 else R[:, k - 1]
         S = m * np.outer(r, r) + np.outer(r, h) + np.outer(h, r)
         inertia = np.trace(S) * np.eye(3) - S
-        basis[:, k] = [m, *(m * r + h), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+        basis[:, k] = [m, *(m * r + h), *inertia[TENSOR_ELEMENTS]]
+    for k, (i, j) in enumerate(zip(*TENSOR_ELEMENTS, strict=True)):
+        inertia = np.zeros((3, 3))
+        inertia[[i, j], [j, i]] = 1.0
+        basis[4:, 4 + k] = (R @ inertia @ R.T)[TENSOR_ELEMENTS]
     return basis

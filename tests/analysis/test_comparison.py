@@ -101,6 +101,8 @@ def words_for(name: str) -> str:
     attribute = PLANT_ATTRIBUTES.get(name)
     if attribute is None or attribute.kind is Kind.FLAG:
         return name
+    if attribute.kind in (Kind.POINT, Kind.INERTIA):
+        return f"{name}=0.01:0.02:0.02+{words_for(attribute.only_with[0])}"
     others = [word for word in attribute.words if word != attribute.default]
     default = attribute.default or 0
     value = others[0] if others else min(attribute.high, max(attribute.low, default + 1))
@@ -124,9 +126,20 @@ def test_plants_take_values_and_join(bundled):
     assert np.allclose(plant_by_name("friction=0.1", bundled).coulomb_friction, 0.1 * bundled.limits.tau_max)
 
 
+def test_a_payload_on_the_command_line_has_a_center_and_an_inertia(bundled):
+    moments = [0.001, 0.0025, 0.0017]
+    hand = armctl.Plant(payload=0.73, payload_center=[-0.01, 0, 0.03], payload_inertia=np.diag(moments))
+    words = ["payload=0.73", "payload_center=-0.01:0:0.03", "payload_inertia=0.001:0.0025:0.0017"]
+    for text in ("+".join(words), "+".join(words[::-1])):
+        assert plant_by_name(text, bundled).key == hand.key
+
+
 @pytest.mark.parametrize(
     ("text", "error", "sentence"),
     [
+        ("payload=1+payload_inertia=0.1", armctl.InputError, "plant payload_inertia=0.1: payload_inertia: .*3"),
+        ("payload_inertia=1:2:9", armctl.InputError, "no body has the principal moments"),
+        ("payload_center", armctl.InputError, "'payload_center' needs a value, as in 'payload_center=0:0:0'"),
         ("paylod=1", armctl.UnknownNameError, "did you mean 'payload'"),
         ("payload=much", armctl.InputError, "plant payload=much: 'much' is not a number"),
         ("payload=-1", armctl.InputError, "payload: expected .*got -1"),

@@ -94,6 +94,48 @@ def test_a_run_that_oscillates_is_refused(gain, motions):
     assert "oscillates" in found.reason
 
 
+@pytest.mark.parametrize(
+    ("robot", "moments"),
+    [("ur5e", [0.02, 0.03, 0.015]), ("panda", [0.03, 0.02, 0.02]), ("iiwa14", [0.0, 0.04, 0.04])],
+)
+def test_the_inertia_of_a_payload_is_found_and_spoils_nothing_else(robot, moments, motions):
+    arm = arm_of(robot)
+    turn = armctl.Pose([0, 0, 0], rpy=[0.3, -0.5, 0.9]).rotation
+    inertia = turn @ np.diag(moments) @ turn.T
+    held = {"payload": 2.0, "payload_center": CENTER, "payload_inertia": inertia}
+    log = run(arm, motions(robot), "computed-torque", encoder_noise=1e-5, **held)
+    found = armctl.identify_payload(arm, log)
+    assert found.ok, found.reason
+    assert not found.findings
+    assert found.mass == pytest.approx(2.0, rel=1e-3)
+    assert found.center == pytest.approx(CENTER, abs=1e-3)
+    assert found.inertia == pytest.approx(inertia, abs=0.003)
+    assert (np.abs(found.inertia - inertia) < 3 * found.inertia_error).all()
+    assert (found.inertia_error < 0.01).all()
+    assert "moments of inertia [" in str(found)
+    q = arm.home + 0.1
+    carrying = arm.with_payload(2.0, CENTER, inertia)
+    assert found.applied_to(arm).mass_matrix(q) == pytest.approx(carrying.mass_matrix(q), rel=0.02, abs=0.003)
+
+
+def test_the_inertia_of_a_point_is_found_to_be_small(motions):
+    found = armctl.identify_payload(arm_of("ur5e"), run(arm_of("ur5e"), motions("ur5e"), payload=1.0, payload_center=CENTER))
+    assert found.ok, found.reason
+    assert np.abs(found.inertia).max() < 1e-3
+    assert "moments" not in str(found)
+
+
+def test_an_inertia_that_no_motion_shows_is_said_to_be_unknown(tmp_path):
+    arm = scara(tmp_path)
+    motion = armctl.excitation(arm, payload=3.0)
+    log = run(arm, motion, payload=3.0, payload_center=CENTER, payload_inertia=[0.02, 0.02, 0.03])
+    found = armctl.identify_payload(arm, log)
+    assert found.ok, found.reason
+    assert found.inertia[2, 2] == pytest.approx(0.03, abs=found.inertia_error[2, 2])
+    assert np.isfinite(found.inertia_error).tolist() == [[False] * 3, [False] * 3, [False, False, True]]
+    assert "[not shown, not shown, 0.02" in str(found)
+
+
 def test_nothing_held_is_found_to_be_nothing(motions):
     arm = arm_of("ur5e")
     found = armctl.identify_payload(arm, run(arm, motions("ur5e")))

@@ -160,18 +160,22 @@ def test_dry_friction_has_the_stiffness_of_its_constraint(tmp_path, solref: str)
         assert np.allclose(ours, expected, rtol=1e-9, atol=0.004)
 
 
-def test_the_payload_regressor_is_the_torque_of_a_point_mass(tmp_path):
+def test_the_payload_regressor_is_the_torque_of_a_body(tmp_path):
     """Of opposite centers, the torques differ by twice the part that is linear in the center."""
     path = tmp_path / "chain.xml"
     path.write_text(CHAIN.format(gravcomp=0, integrator="implicitfast", eulerdamp="enable"))
     arm = armctl.load(path)
     center = np.array([0.06, -0.04, 0.09])
     ahead, behind, at_tip = (arm.with_payload(0.7, sign * center) for sign in (1, -1, 0))
+    inertia = np.array([[0.0010, 0.0001, -0.0002], [0.0001, 0.0025, 0.0], [-0.0002, 0.0, 0.0017]])
+    body = arm.with_payload(0.7, center, inertia)
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 10, seed=9):
         Y = dynamics.payload_regressor(q, v, a)
         linear = 0.5 * (ahead.inverse_dynamics(q, v, a) - behind.inverse_dynamics(q, v, a))
-        assert Y[:, 1:] @ (0.7 * center) == pytest.approx(linear, abs=1e-10)
+        assert Y[:, 1:4] @ (0.7 * center) == pytest.approx(linear, abs=1e-10)
+        turning = body.inverse_dynamics(q, v, a) - ahead.inverse_dynamics(q, v, a)
+        assert Y[:, 4:] @ inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]] == pytest.approx(turning, abs=1e-10)
         assert Y[:, 0] * 0.7 == pytest.approx(at_tip.inverse_dynamics(q, v, a) - arm.inverse_dynamics(q, v, a), abs=1e-10)
 
 

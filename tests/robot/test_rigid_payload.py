@@ -1,8 +1,12 @@
-"""A payload is a rigid body: mass, center of mass and inertia, in the model and in the plant."""
+"""A payload is a rigid body: mass, center of mass and inertia, in the model, in the plant and in a robot's setting."""
+
+import contextlib
+import types
 
 import mujoco
 import numpy as np
 import pytest
+from arms import arm_of
 from synthetic import FAST, limb, mjcf, motors
 
 import armctl
@@ -53,6 +57,19 @@ def test_the_model_and_the_plant_carry_the_inertia_of_a_payload(arm: armctl.Arm)
     assert loaded.gravity(Q) == pytest.approx(arm.with_payload(MASS, CENTER).gravity(Q), abs=1e-12)
 
 
+def test_the_makers_hand_gives_the_last_joint_of_fr3_its_inertia():
+    """By the parallel axis theorem: link 7's own, plus the hand's moment about the joint's axis, which is the tip's z."""
+    arm = arm_of("fr3")
+    center = np.array([-0.01, 0.0, 0.03])  # 0.73 kg and these moments are in libfranka's documents
+    moments = np.array([0.001, 0.0025, 0.0017])
+    armature = arm.model.dof_armature[arm.dof_adr[6]]
+    q = arm.home
+    bare = arm.mass_matrix(q)[6, 6] - armature
+    held = arm.with_payload(0.73, center, moments).mass_matrix(q)[6, 6] - armature
+    assert held == pytest.approx(bare + moments[2] + 0.73 * (center[0] ** 2 + center[1] ** 2), rel=1e-6)
+    assert held == pytest.approx(0.00189, rel=0.02)
+
+
 def test_moments_along_the_axes_are_a_diagonal_matrix(arm: armctl.Arm):
     moments = [0.001, 0.0025, 0.0017]
     by_moments = arm.with_payload(MASS, CENTER, moments).mass_matrix(Q)
@@ -91,3 +108,24 @@ def test_an_inertia_that_no_body_has_is_refused(arm: armctl.Arm, inertia, said: 
 def test_an_inertia_without_a_mass_is_refused(arm: armctl.Arm):
     with pytest.raises(armctl.InputError, match="inertia: given for a payload without mass"):
         arm.with_payload(0.0, CENTER, INERTIA)
+
+
+@pytest.mark.parametrize(
+    "inertia", [[0.001, 0.0025, 0.0017], np.diag([0.001, 0.0025, 0.0017]), [0.001, 0, 0, 0, 0.0025, 0, 0, 0, 0.0017]]
+)
+def test_the_inertia_of_a_load_is_given_as_everywhere(inertia, monkeypatch):
+    loads = []
+    client = types.SimpleNamespace(
+        RealtimeConfig=types.SimpleNamespace(kIgnore=0, kEnforce=1),
+        Robot=lambda *_: types.SimpleNamespace(
+            set_collision_behavior=lambda *_: None, set_load=lambda *load: loads.append(load)
+        ),
+    )
+    monkeypatch.setattr("armctl.links.franka._calling", lambda _: contextlib.nullcontext(client))
+    armctl.links.Franka("127.0.0.1", payload=0.73, payload_center=[-0.01, 0, 0.03], payload_inertia=inertia).open()
+    assert loads == [(0.73, [-0.01, 0, 0.03], [0.001, 0, 0, 0, 0.0025, 0, 0, 0, 0.0017])]
+
+
+def test_a_load_that_no_body_has_is_refused():
+    with pytest.raises(armctl.InputError, match="payload_inertia"):
+        armctl.links.Franka("127.0.0.1", payload=1.0, payload_inertia=[0.1, 0.1, 0.9])
