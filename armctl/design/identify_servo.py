@@ -3,52 +3,29 @@
 from __future__ import annotations
 
 import copy
-import itertools
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
 
-from armctl.core.errors import InputError, ModelError
+from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance
 from armctl.design.identified_model import IdentifiedArm
+from armctl.design.servo_fit import PER_JOINT, SETTLING_S, ServoFit
 from armctl.design.servo_simulation import ServoParameters, ServoSimulation, set_rotors_and_friction
 from armctl.loading.catalog import locate
 from armctl.robot.arm import Arm, check_arm, with_model
 
-PER_JOINT = ("armature", "stiffness", "damping", "coulomb_friction", "offset", "backlash")
 _BANDWIDTH = 20.0  # rad/s, where to start with a file that has no servos
 _INERTIA_SHARE = 0.05  # of a joint's inertia, where to start with a file that has no rotor inertia
-_RANGE = 100.0  # the bounds of armature, stiffness and damping over their values in the file, and reversed
-_FRICTION_SHARE = 0.05  # of a joint's typical torque: the unit of dry friction in the fit
-_BACKLASH_UNIT = 0.01  # rad, in the fit
-_START_BACKLASHES = (0.0, 0.1, 0.3, 0.6, 1.0, 2.0)  # in this unit
-_MAX_BACKLASH = 10.0
-_MAX_BACKLASH_ERROR = 0.25  # in this unit: with a larger standard error a recording does not show it
-_SIGNIFICANT = 3.0  # standard errors of a backlash that is not taken for zero
-_MAX_DELAY_S = 0.25
-_START_DELAYS = (0.0, 0.015, 0.03, 0.06, 0.1)
-_START_SCALES = np.geomspace(1.0 / _RANGE, _RANGE, 9)  # of the stiffness of each joint
-_START_DAMPING_RATIOS = (0.3, 1.0, 3.0)
 _MAX_STARTS = 3
-# Of finite differences, in units of the fit. Rounding of friction's solver, divided by a shorter step, looks like information.
-_STEP = 0.05
-_MAX_EVALUATIONS = 25
-_TOLERANCE = 1e-4
-_SETTLING_S = 0.3  # at the beginning, where the state of the arm is not known
-_BLOCK_S = 0.5  # over which residuals may be correlated
-_MIN_TRAVEL_RAD = 0.02
 _MIN_SECONDS = 3.0
-_MIN_GAP_GAIN = 0.1  # share of a joint's sum of squares that its backlash explains, if it is kept
 _MAX_NOISE_RATIO = 2.5  # of an error over the noise of the positions, beside:
 _MAX_MODEL_ERROR = 0.01  # of the difference between command and position: what steps of the simulation are off
 _NOISE_ORDER = 6  # of the differences that show noise; of motions below a tenth of the sampling rate they leave nothing
-_AT_BOUND = 1e-3
 _MAX_UNEXPLAINED = 0.5  # of the difference between command and position along the judge
 
 
@@ -172,7 +149,7 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
         fit.solve()
     found = fit.parameters(fit.z)
     along = ServoSimulation(arm, judge.dt, bool(found.backlash.any())).positions([found, file], judge) - judge.q
-    judged = np.sqrt(np.mean(along[:, round(_SETTLING_S / judge.dt) :] ** 2, axis=1))
+    judged = np.sqrt(np.mean(along[:, round(SETTLING_S / judge.dt) :] ** 2, axis=1))
     rms = fit.rms()
     reason = _reason(arm, judge, noise, *judged) or fit.at_bound()
     return ServoEstimate(
@@ -190,11 +167,11 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     )
 
 
-def _best_fit(arm: Arm, recording: Log, file: ServoParameters, largest: Array) -> _Fit:
+def _best_fit(arm: Arm, recording: Log, file: ServoParameters, largest: Array) -> ServoFit:
     """The best of local fits from several starts; the first whose errors are the noise needs no other beside it."""
-    fits: list[_Fit] = []
-    for start in _Fit(arm, recording, file).starts()[:_MAX_STARTS]:
-        fit = _Fit(arm, recording, file)
+    fits: list[ServoFit] = []
+    for start in ServoFit(arm, recording, file).starts()[:_MAX_STARTS]:
+        fit = ServoFit(arm, recording, file)
         fit.z = start
         fit.solve()
         fits.append(fit)
@@ -281,221 +258,3 @@ def _of_file(arm: Arm, source: str | os.PathLike[str] | None) -> ServoParameters
             damping[i] = kv if kv > 0.0 else damping[i]
     friction = arm.model.dof_frictionloss[arm.dof_adr].copy()
     return ServoParameters(armature, stiffness, damping, friction, np.zeros(arm.n), np.zeros(arm.n), 0.0)
-
-
-class _Fit:
-    """Parameters of servos fitted to a recording, in units in which they are about 1.
-
-    The armature is a logarithm over the file's value; stiffness and damping are logarithms of their ratio to the armature over
-    that of the file, and dry friction is in proportion to it. So an armature that is not shown is one coordinate, along which
-    finite differences are exact: sums of large columns that cancel would not be. Offsets are rad, the delay sampling periods.
-    """
-
-    def __init__(self, arm: Arm, log: Log, file: ServoParameters):
-        self.arm = arm
-        self.file = file
-        self._log = log
-        self._simulation = ServoSimulation(arm, log.dt, False)
-        self._from = round(_SETTLING_S / log.dt)
-        n = arm.n
-        self._n = n
-        typical = np.sqrt(np.mean((log.q_ref - log.q) ** 2, axis=0)) * file.stiffness
-        self._friction_unit = np.maximum(_FRICTION_SHARE * typical, np.finfo(float).tiny)
-        self.names = [f"{joint} {kind}" for kind in PER_JOINT for joint in arm.joint_names] + ["delay"]
-        self.z = np.zeros(6 * n + 1)  # (p,) the parameters
-        self.z[3 * n : 4 * n] = file.coulomb_friction / self._friction_unit
-        self._file_z = self.z.copy()
-        self._low = np.full(6 * n + 1, -np.log(_RANGE))
-        self._low[3 * n :] = np.concatenate([np.zeros(n), np.full(n, -1.0), np.zeros(n), [0.0]])
-        self._high = np.full(6 * n + 1, np.log(_RANGE))
-        high = [np.full(n, np.inf), np.full(n, 1.0), np.full(n, _MAX_BACKLASH), [_MAX_DELAY_S / log.dt]]
-        self._high[3 * n :] = np.concatenate(high)
-        self._still = np.ptp(log.q, axis=0) < _MIN_TRAVEL_RAD
-        none = np.zeros(n, bool)
-        # (p,) False if it keeps the file's value
-        self.free = ~np.concatenate([np.tile(self._still, 4), none, ~none, [False]])
-        self.unseen = ~self.free  # (p,) True for those that the recording does not show
-        self._absent = np.zeros(len(self.z), bool)  # (p,) True for a backlash that the recording shows to be none
-        self._alone = np.full(len(self.z), np.nan)  # (p,) standard errors with all that is free
-        self._J = np.zeros((0, 0))
-
-    def parameters(self, z: Array) -> ServoParameters:
-        """The parameters in SI units."""
-        rows = z[:-1].reshape(6, self._n)
-        scale = np.exp(rows[0])
-        return ServoParameters(
-            armature=self.file.armature * scale,
-            stiffness=self.file.stiffness * scale * np.exp(rows[1]),
-            damping=self.file.damping * scale * np.exp(rows[2]),
-            coulomb_friction=self._friction_unit * scale * rows[3],
-            offset=rows[4],
-            backlash=_BACKLASH_UNIT * rows[5],
-            delay=max(float(z[-1] * self._log.dt), 0.0),
-        )
-
-    def residuals(self, z: Array) -> Array:
-        """(T, n) rad, simulated minus measured."""
-        return self._many([z])[0]
-
-    def rms(self) -> Array:
-        """(n,) rad, of the residuals."""
-        return np.sqrt(np.mean(self.residuals(self.z) ** 2, axis=0))
-
-    def starts(self) -> list[Array]:
-        """(p,) each, the best first: for each delay of a grid, each joint with the stiffness and damping that fit it best."""
-        n = self._n
-        inertia = np.diag(self.arm.mass_matrix(self.arm.limits.clamp(self.arm.home)))
-        critical = 2.0 * np.sqrt(self.file.stiffness * inertia) / self.file.damping
-        starts = []
-        for delay in _START_DELAYS:
-            same = []
-            for scale, ratio in itertools.product(_START_SCALES, _START_DAMPING_RATIOS):
-                z = self.z.copy()
-                z[-1] = delay / self._log.dt
-                z[n : 2 * n] = np.log(scale)
-                z[2 * n : 3 * n] = np.log(ratio * np.sqrt(scale) * critical)
-                z = np.clip(z, self._low, self._high)
-                same.append(np.where(self.free, z, self._file_z))
-            best = (self._many(same) ** 2).sum(axis=1).argmin(axis=0)
-            z = same[0].copy()
-            for joint, row in enumerate(best):
-                z[joint:-1:n] = same[row][joint:-1:n]
-            starts.append(z)
-        costs = (self._many(starts) ** 2).sum(axis=(1, 2))
-        return [starts[i] for i in np.argsort(costs, kind="stable")]
-
-    def at_bound(self) -> str:
-        """The reason if a gain or a rotor inertia ended at a bound of the fit; empty if none did."""
-        shown = slice(0, 3 * self._n)
-        ends = np.minimum(self.z - self._low, self._high - self.z)[shown] < _AT_BOUND
-        for i in np.flatnonzero(ends & self.free[shown]):
-            return f"{self.names[i]:.80} is at a bound, {_RANGE:g} times or a {_RANGE:g}th of the file's; give a nearer file"
-        return ""
-
-    def solve(self) -> None:
-        from scipy.optimize import least_squares
-
-        free = self.free.copy()
-
-        def whole(x: Array) -> Array:
-            z = self._file_z.copy()
-            z[free] = x
-            return z
-
-        solve: Any = least_squares
-        found = solve(
-            lambda x: self.residuals(whole(x)).ravel(),
-            np.clip(self.z, self._low, self._high)[free],
-            lambda x: self._jacobian(whole(x))[:, free],
-            bounds=(self._low[free] - 1e-9, self._high[free]),
-            x_scale="jac",
-            ftol=_TOLERANCE,
-            xtol=_TOLERANCE,
-            max_nfev=_MAX_EVALUATIONS,
-        )
-        self.z = whole(found.x)
-        self._J = np.zeros((len(found.fun), len(self.z)))
-        self._J[:, free] = found.jac
-
-    def find_backlash(self) -> None:
-        """Adds backlash to the fit, from the best of a grid for each joint, and keeps what is significant."""
-        rigid = (self._simulation, self.z, self._J)
-        without = self.rms()
-        try:
-            self._simulation = ServoSimulation(self.arm, self._log.dt, True)
-        except (InputError, ModelError):  # no rotors can be added, as to a compiled model
-            return
-        gaps = slice(5 * self._n, 6 * self._n)
-        starts = [np.where(np.arange(len(self.z)) // self._n == 5, gap, self.z) for gap in _START_BACKLASHES]
-        best = (self._many(starts) ** 2).sum(axis=1).argmin(axis=0)
-        self.z = starts[0]
-        self.z[gaps] = np.array(_START_BACKLASHES)[best]
-        self.free[gaps] = ~self._still
-        self.solve()
-        self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
-        explains = self.rms() ** 2 < (1.0 - _MIN_GAP_GAIN) * without**2
-        found = explains & (self.z[gaps] > _SIGNIFICANT * self._alone[gaps])
-        self._absent[gaps] = ~found & ~self._still & (self._alone[gaps] < _MAX_BACKLASH_ERROR)
-        self.free[gaps] = found
-        if not found.any():
-            self._simulation, self.z, self._J = rigid
-        elif not found.all():
-            self.solve()
-
-    def _limit(self) -> Array:
-        """(p,) the largest standard errors of parameters that a recording shows."""
-        # An e-fold change of a parameter, with all others adapted to it, must move its joint by as much as the residuals.
-        # Smaller effects drown in what the model leaves out, whatever the number of samples says.
-        limit = np.full(len(self.z), 1.0 / np.sqrt(len(self._log)))
-        limit[3 * self._n : 4 * self._n] *= np.maximum(self.z[3 * self._n : 4 * self._n], 1.0)
-        limit[5 * self._n : -1] = _MAX_BACKLASH_ERROR
-        limit[-1] = 1.0
-        return limit
-
-    def drop_unseen(self) -> bool:
-        """Gives parameters with large errors the file's value, the worst first, until the others are known relative to them.
-
-        True if the fit has to be solved again.
-        """
-        limit = self._limit()
-        before = self.free.copy()
-        self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
-        self.unseen = (~self.free | (self._alone > limit)) & ~self._absent
-        while True:
-            excess = np.sqrt(np.diag(self._covariance())) / limit
-            worst = int(excess.argmax())
-            if excess[worst] < 1.0:
-                break
-            self.free[worst] = False
-        self.unseen |= ~self.free & ~self._absent
-        if self.unseen[: 5 * self._n].any():  # all joints show the delay: it must not make up for the file's values of others
-            self.free[-1] = False
-            self._file_z[-1] = self.z[-1]
-        return not np.array_equal(before, self.free)
-
-    def standard_errors(self) -> ServoParameters:
-        errors = np.where(self.unseen | ~self.free, self._alone, self._physical(self._covariance()))
-        rows = errors[:-1].reshape(6, self._n)
-        found = self.parameters(self.z)
-        return ServoParameters(
-            armature=found.armature * rows[0],
-            stiffness=found.stiffness * rows[1],
-            damping=found.damping * rows[2],
-            coulomb_friction=self._friction_unit * found.armature / self.file.armature * rows[3],
-            offset=rows[4],
-            backlash=_BACKLASH_UNIT * rows[5],
-            delay=float(errors[-1] * self._log.dt),
-        )
-
-    def _physical(self, covariance: Array) -> Array:
-        """(p,) standard errors, relative ones of armature, stiffness and damping themselves instead of ratios."""
-        n = self._n
-        T = np.eye(len(self.z))
-        joints = np.arange(n)
-        T[n + joints, joints] = 1.0
-        T[2 * n + joints, joints] = 1.0
-        T[3 * n + joints, joints] = self.z[3 * n : 4 * n]
-        return np.sqrt(np.diag(T @ covariance @ T.T))
-
-    def _covariance(self) -> Array:
-        """(p, p), from the scores of blocks of each joint (sandwich estimate: White, 1982); 0 where not free."""
-        J = self._J[:, self.free]
-        inverse = np.linalg.pinv(J.T @ J)
-        scores = (J * self.residuals(self.z).reshape(-1, 1)).reshape(-1, self._n, J.shape[1])
-        edges = np.arange(0, len(scores), max(1, round(_BLOCK_S / self._log.dt)))
-        blocks = np.add.reduceat(scores, edges, axis=0).reshape(-1, J.shape[1])
-        covariance = np.zeros((len(self.z), len(self.z)))
-        covariance[np.ix_(self.free, self.free)] = inverse @ (blocks.T @ blocks) @ inverse
-        return covariance
-
-    def _jacobian(self, z: Array) -> Array:
-        """(T n, p), by forward differences; 0 where not free."""
-        moved = self._many([z, *(z + _STEP * row for row in np.eye(len(z))[self.free])])
-        J = np.zeros((moved[0].size, len(z)))
-        J[:, self.free] = ((moved[1:] - moved[0]) / _STEP).transpose(1, 2, 0).reshape(len(J), -1)
-        return J
-
-    def _many(self, candidates: Sequence[Array]) -> Array:
-        """(B, T, n) residuals after the settling."""
-        found = self._simulation.positions([self.parameters(z) for z in candidates], self._log)
-        return (found - self._log.q)[:, self._from :]
