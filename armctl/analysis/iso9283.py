@@ -342,7 +342,7 @@ def _compliance(arm: Arm, controller: Controller, plant: Plant) -> dict[str, obj
 
 
 def _listed(scale: float, values: _Triple) -> str:
-    return ", ".join(f"{scale * value:.3g}" for value in values)
+    return ", ".join("<0.001" if abs(scale * value) < 1e-3 else f"{scale * value:.3g}" for value in values)
 
 
 def _poses(arm: Arm) -> tuple[float, Array, Array]:

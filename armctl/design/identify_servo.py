@@ -22,6 +22,7 @@ from armctl.robot.arm import Arm, check_arm, with_model
 _BANDWIDTH = 20.0  # rad/s, where to start with a file that has no servos
 _INERTIA_SHARE = 0.05  # of a joint's inertia, where to start with a file that has no rotor inertia
 _MAX_STARTS = 3
+_ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _MIN_SECONDS = 3.0
 _MAX_NOISE_RATIO = 2.5  # of an error over the noise of the positions, beside:
 _MAX_MODEL_ERROR = 0.01  # of the difference between command and position: what steps of the simulation are off
@@ -98,18 +99,23 @@ class ServoEstimate(IdentifiedArm):
         return with_model(arm, model)
 
     def _complete(self, spec: mujoco.MjSpec, identified: Arm) -> None:
-        motors = np.isin(self.arm.model.actuator_ctrladr, self.arm.ctrl_adr)
-        for actuator, is_motor in zip(spec.actuators, motors, strict=False):
-            if not is_motor or actuator.target not in self.arm.joint_names:
+        for i, name in enumerate(self.arm.joint_names):
+            servo, *others = [each for each in spec.actuators if _is_on_joint(each, name)] or [None]
+            for other in others:  # the gains are those of the joint, whatever moved it
+                spec.delete(other)
+            if servo is None:
                 continue
-            i = self.arm.joint_names.index(actuator.target)
             limit = self.arm.limits.tau_max[i]
-            actuator.set_to_position(kp=self.parameters.stiffness[i], kv=self.parameters.damping[i])
-            actuator.gear = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-            actuator.ctrlrange = [self.arm.limits.q_min[i], self.arm.limits.q_max[i]]
-            actuator.forcerange = [-limit, limit] if np.isfinite(limit) else [0.0, 0.0]
-            actuator.delay = self.parameters.delay
-            actuator.nsample = int(np.ceil(self.parameters.delay / self.arm.dt)) + 1 if self.parameters.delay > 0.0 else 0
+            servo.set_to_position(kp=self.parameters.stiffness[i], kv=self.parameters.damping[i])
+            servo.gear = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+            servo.ctrlrange = [self.arm.limits.q_min[i], self.arm.limits.q_max[i]]
+            servo.forcerange = [-limit, limit] if np.isfinite(limit) else [0.0, 0.0]
+            servo.delay = self.parameters.delay
+            servo.nsample = int(np.ceil(self.parameters.delay / self.arm.dt)) + 1 if self.parameters.delay > 0.0 else 0
+
+
+def _is_on_joint(actuator: mujoco.MjsActuator, joint: str) -> bool:
+    return actuator.target == joint and int(actuator.trntype) in _ON_JOINTS
 
 
 def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.PathLike[str] | None = None) -> ServoEstimate:
@@ -245,16 +251,15 @@ def _of_file(arm: Arm, source: str | os.PathLike[str] | None) -> ServoParameters
     inertia = np.diag(arm.mass_matrix(arm.limits.clamp(arm.home)))
     armature = arm.model.dof_armature[arm.dof_adr]
     armature = np.where(armature > 0.0, armature, _INERTIA_SHARE * inertia)
-    stiffness = inertia * _BANDWIDTH**2
-    damping = 2.0 * inertia * _BANDWIDTH
+    gains = np.zeros((2, arm.n))  # of all servos of a joint
     for actuator in range(model.nactuator):
         joint = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.actuator_trnid[actuator, 0]))
-        gear = model.actuator_gear[actuator, 0]
-        kp, kv = -model.actuator_biasprm[actuator, 1:3] * gear**2
-        is_on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT and joint in arm.joint_names
-        if is_on_joint and kp > 0.0:
-            i = arm.joint_names.index(joint)
-            stiffness[i] = kp
-            damping[i] = kv if kv > 0.0 else damping[i]
+        if int(model.actuator_trntype[actuator]) in _ON_JOINTS and joint in arm.joint_names:
+            gear = model.actuator_gear[actuator, 0]
+            gains[:, arm.joint_names.index(joint)] -= model.actuator_biasprm[actuator, 1:3] * gear**2
+    defaults = (inertia * _BANDWIDTH**2, 2.0 * inertia * _BANDWIDTH)
+    stiffness, damping = (
+        np.where((gains[0] > 0.0) & (own > 0.0), own, default) for own, default in zip(gains, defaults, strict=True)
+    )
     friction = arm.model.dof_frictionloss[arm.dof_adr].copy()
     return ServoParameters(armature, stiffness, damping, friction, np.zeros(arm.n), np.zeros(arm.n), 0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import html
 import threading
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.core import units
-from armctl.core.errors import InputError, LimitError
+from armctl.core.errors import ArmctlWarning, InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.other_names import with_hints
 from armctl.core.pose import Pose, computed_pose
@@ -224,8 +225,14 @@ class Arm:
         return f"{self.joint_names[i]}: {value:g} {unit} is outside [{low:.3f}, {high:.3f}] {unit}"
 
     def fk(self, q: ArrayLike) -> Pose:
-        """Forward kinematics: T_world_tip."""
-        return computed_pose(*self.pinocchio_model.tip(vector("q", q, self.n)))
+        """Forward kinematics: T_world_tip. It warns about positions so far outside the limits that they may be degrees."""
+        given = vector("q", q, self.n)
+        if not ((given >= self.limits.q_min) & (given <= self.limits.q_max)).all():
+            try:
+                self.check_units("q", given)
+            except LimitError as error:
+                warnings.warn(ArmctlWarning(str(error)), stacklevel=2)
+        return computed_pose(*self.pinocchio_model.tip(given))
 
     def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:
         """Forward kinematics of many positions at once.

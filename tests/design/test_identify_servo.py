@@ -190,6 +190,37 @@ def test_files_have_the_identified_servos(known, file, tmp_path):
     assert found.applied_to(arm).mass_matrix(arm.home)[1, 1] > arm.mass_matrix(arm.home)[1, 1]
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('<motor joint="a" gear="2" ctrlrange="-1 1"/>', ""),
+        ("", '<motor joint="a" gear="2" ctrlrange="-1 1"/>'),
+        ("", '<position joint="a" kp="20" kv="1" ctrlrange="-1.5 1.5" forcerange="-20 20"/>'),
+        ('<velocity joint="b" kv="1" forcerange="-5 5"/>', '<motor joint="a" forcerange="-1 1"/>'),
+    ],
+    ids=["a motor before the servo", "a motor behind it", "two servos", "two on both"],
+)
+def test_a_joint_with_two_actuators_gets_one_servo_with_the_gains_of_both(before, after, tmp_path):
+    path = tmp_path / "two.xml"
+    more = f"<actuator>{before}"
+    count = 2 + sum(bool(each) for each in (before, after))
+    key = f'</actuator><keyframe><key ctrl="{" ".join(["0"] * count)}"/></keyframe>'
+    plain = text([0.01, 0.01], [30, 30], [1, 1], [0.02, 0.02])
+    path.write_text(plain.replace("<actuator>", more).replace("</actuator>", f"{after}{key}"))
+    with pytest.warns(armctl.ArmctlWarning, match="one motor with the sum of their torques replaces them"):
+        arm = armctl.load(path)
+    found = armctl.identify_servo(arm, recorded(arm, 1), judge=recorded(arm, 2), source=path)
+    assert found, found.reason
+    assert found.parameters.stiffness == pytest.approx(TRUE["stiffness"], rel=0.1)
+    model = mujoco.MjModel.from_xml_path(str(found.to_mjcf(tmp_path / "new.xml", source=path)))
+    joints = [model.joint(int(joint)).name for joint in model.actuator_trnid[:, 0]]
+    assert sorted(joints) == ["a", "b"]
+    order = [joints.index(name) for name in arm.joint_names]
+    assert model.actuator_gainprm[order, 0] == pytest.approx(found.parameters.stiffness, rel=1e-5)
+    assert -model.actuator_biasprm[order, 2] == pytest.approx(found.parameters.damping, rel=1e-5)
+    assert model.actuator_forcerange[order, 1] == pytest.approx(arm.limits.tau_max)
+
+
 def test_without_gravity_the_scale_is_not_shown(tmp_path):
     """Both joints turn about the vertical, with links on their axes: positions show ratios only."""
     path = tmp_path / "vertical.xml"

@@ -413,3 +413,9 @@ def test_a_payload_weighs_at_its_point_also_where_a_plate_carries_it_behind_bodi
         at_center = J[:3] - np.cross(arm.fk(q).rotation @ center, J[3:], axisb=0).T
         assert heavy.gravity(q) - arm.gravity(q) == pytest.approx(0.7 * 9.81 * at_center[2], abs=1e-12)
         assert heavy.mass_matrix(q) - arm.mass_matrix(q) == pytest.approx(0.7 * at_center.T @ at_center, abs=1e-12)
+
+
+def test_forward_kinematics_of_positions_in_degrees_asks_for_the_unit(bundled: Arm):
+    with pytest.warns(armctl.ArmctlWarning, match=r"^q: shoulder_pitch: -45 rad is outside .* rad; degrees\? np.radians"):
+        bundled.fk([1.0, -45.0, -90.0])
+    bundled.fk(bundled.limits.q_max + 1.0)  # is allowed, without a warning
