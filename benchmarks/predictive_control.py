@@ -1,9 +1,11 @@
 """Motions that need more torque than the motors have: clipped computed torque, its quadratic program, LQR and MPC.
 
     python benchmarks/predictive_control.py [--motions 200] [--offline 10]
+    python benchmarks/predictive_control.py --robots panda kinova_gen3 --motions 12
 
-Random motions of a bundled arm and of two synthetic ones, with torque limits between what keeps the speed and what
-the motion needs. A motion counts if the arm touches nothing during it, which is proved before any law follows it.
+Random motions of a bundled arm and of two synthetic ones, or of robots that are named, with torque limits between what
+keeps the speed and what the motion needs. A motion counts if the arm touches nothing during it, which is proved before
+any law follows it.
 
 The motions run at the speed limits for about half of their time. Nothing within these limits makes up for a delay then,
 and clipped computed torque does so beyond them. The first table compares it with laws that keep them. The second one
@@ -75,9 +77,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--motions", type=int, default=200)
     parser.add_argument("--offline", type=int, default=10)
+    parser.add_argument("--robots", nargs="+", default=[], help="only the first table, of these, and no file")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "predictive_control.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
+    if args.robots:
+        cases = {name: random_cases(armctl.load(name), args.motions) for name in args.robots}
+        print(table_of_laws([row for name, each in cases.items() for row in against_clipped(name, each)[1]], args.motions))
+        return
     with tempfile.TemporaryDirectory() as folder:
         arms = {name: serial_arm(Path(folder), BENT[name]) for name in ("six joints", "redundant")}
         arms = {"robot_arm_3dof": armctl.load("robot_arm_3dof"), **arms}
@@ -91,30 +98,13 @@ def study(arms: dict[str, armctl.Arm], motions: int, offline: int) -> list[str]:
     equal_rows = []
     for name, arm in arms.items():
         cases = random_cases(arm, motions)
-        clipped = np.empty(0)
-        for law, make in LAWS.items():
-            error, outside, speed = np.array([tracked(make, *case) for case in cases]).T
-            if law == "clipped":
-                clipped = error
-            for group, chosen in (("all", clipped >= 0.0), ("clipped >= 1 mm", clipped >= 1e-3)):
-                share = np.mean(error[chosen] <= clipped[chosen] / 3)
-                outside_mrad = f"{1e3 * max(outside[chosen].max(), 0.0):.1g}"
-                numbers = [*compared(error, clipped, chosen), f"{100 * share:.0f}", outside_mrad]
-                numbers.append(f"{100 * speed[chosen].max():.0f}")
-                rows.append([name, law, group, str(chosen.sum()), *numbers])
+        clipped, of_laws = against_clipped(name, cases)
+        rows += of_laws
         equal_rows += equal_limits(name, cases, clipped, offline)
-    columns = ["arm", "law", "motions", "number", "RMS", "median", "90 %", "largest"]
-    columns += ["at most 1/3, %", "outside, mrad", "speed, %"]
     equal_columns = ["arm", "limits", "RMS", "median", "90 %", "largest", "at most 1/3, %", "outside, mrad", "speed, %"]
     offline_columns = ["arm", "limits", "motions", "optimized", "clipped, mm", "mpc, mm", "optimum, mm", "mpc", "optimum"]
     return [
-        titled_table(
-            f"Error of the tip relative to clipped computed torque, {motions} motions of each arm: of all (RMS) and of "
-            "each; the farthest outside of a joint limit, and the highest speed of a joint relative to its limit. Clipped "
-            "computed torque and LQR keep no speed limit",
-            columns,
-            rows,
-        ),
+        table_of_laws(rows, motions),
         titled_table(
             "Error of the tip of MPC relative to clipped computed torque with the same limits, of the same motions",
             equal_columns,
@@ -128,6 +118,37 @@ def study(arms: dict[str, armctl.Arm], motions: int, offline: int) -> list[str]:
             [row for _, each in equal_rows for row in each],
         ),
     ]
+
+
+def against_clipped(name: str, cases: list) -> tuple[np.ndarray, list[list[str]]]:
+    """The errors of clipped computed torque, and the rows of all laws."""
+    rows = []
+    clipped = np.empty(0)
+    for law, make in LAWS.items():
+        error, outside, speed = np.array([tracked(make, *case) for case in cases]).T
+        if law == "clipped":
+            clipped = error
+        for group, chosen in (("all", clipped >= 0.0), ("clipped >= 1 mm", clipped >= 1e-3)):
+            if not chosen.any():
+                continue
+            share = np.mean(error[chosen] <= clipped[chosen] / 3)
+            outside_mrad = f"{1e3 * max(outside[chosen].max(), 0.0):.1g}"
+            numbers = [*compared(error, clipped, chosen), f"{100 * share:.0f}", outside_mrad]
+            numbers.append(f"{100 * speed[chosen].max():.0f}")
+            rows.append([name, law, group, str(chosen.sum()), *numbers])
+    return clipped, rows
+
+
+def table_of_laws(rows: list[list[str]], motions: int) -> str:
+    columns = ["arm", "law", "motions", "number", "RMS", "median", "90 %", "largest"]
+    columns += ["at most 1/3, %", "outside, mrad", "speed, %"]
+    return titled_table(
+        f"Error of the tip relative to clipped computed torque, {motions} motions of each arm: of all (RMS) and of "
+        "each; the farthest outside of a joint limit, and the highest speed of a joint relative to its limit. Clipped "
+        "computed torque and LQR keep no speed limit",
+        columns,
+        rows,
+    )
 
 
 def equal_limits(name: str, cases: list, clipped: np.ndarray, offline: int) -> list:
