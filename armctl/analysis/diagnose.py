@@ -15,7 +15,7 @@ from armctl.core.errors import ArmctlWarning, MissingShapeWarning, ModelError
 from armctl.core.validation import Array
 from armctl.loading.load import load
 from armctl.loading.unit_checks import unit_doubts
-from armctl.mjmodel.queries import body_name, joint_name
+from armctl.mjmodel.queries import acts, body_name, joint_name
 from armctl.robot.arm import Arm
 
 _MAX_OWN_WEIGHTS = 5.0  # an arm that could hold more than so many times its own mass has doubtful torque limits
@@ -185,7 +185,7 @@ def _contact_findings(arm: Arm) -> Iterator[Finding]:
     data = mujoco.MjData(model)
     data.qpos[:] = arm.home_qpos
     mujoco.mj_forward(model, data)
-    pairs = {tuple(sorted(int(model.geom_bodyid[g]) for g in contact.geom)) for contact in data.contact if contact.dist < 0}
+    pairs = {tuple(sorted(int(model.geom_bodyid[g]) for g in contact.geom)) for contact in data.contact if acts(contact)}
     for first, second in sorted(pairs):
         text = f"{body_name(model, first)} and {body_name(model, second)} overlap at home"
         yield Finding(

@@ -11,7 +11,16 @@ from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs,
 from armctl.collision.interface import KeptAxis, MovingJoints, NearPairs
 from armctl.core.errors import InputError, ModelError, UnknownNameError, few_names
 from armctl.core.validation import Array, BoolArray
-from armctl.mjmodel.queries import geom_owner_name, has_obstacles, is_below, last_joint_above, name_of, object_id, stands_alone
+from armctl.mjmodel.queries import (
+    acts,
+    geom_owner_name,
+    has_obstacles,
+    is_below,
+    last_joint_above,
+    name_of,
+    object_id,
+    stands_alone,
+)
 
 SAMPLES = 64
 _UNIT_KNOTS = np.array([0.0, 1.0])
@@ -243,7 +252,7 @@ class CollisionChecker:
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_collision(self._model, data)
         for contact in data.contact:
-            if contact.dist < 0.0 and not all(is_convex(self._model, int(geom)) for geom in contact.geom):
+            if acts(contact) and not all(is_convex(self._model, int(geom)) for geom in contact.geom):
                 first, second = sorted(contact.geom.tolist())
                 return f"{geom_owner_name(self._model, second)} touches {geom_owner_name(self._model, first)}"
         return ""

@@ -85,10 +85,11 @@ def check_clearance(
 ) -> ClearanceCheck:
     """Proves that a motion keeps more than a clearance, by bisection with bounds of each link's motion, never by samples.
 
-    The geometry is MuJoCo's: convex hulls and primitives, everything outside the arm's chain at home. Pairs that touch by
-    design are left out, and so are neighboring links that are proved apart over the whole range of their joint. An arm with
-    links that need a collision shape and have none (`arm.unchecked_links`) is not ok, whatever it does. The proof is of
-    the planned motion: choose the clearance for tracking errors and bodies that move.
+    The geometry is MuJoCo's: convex hulls and primitives, everything outside the arm's chain at home. Each geom is larger by
+    its contact margin, since MuJoCo's contacts act as soon as the margins meet. Pairs that touch by design are left out, and so
+    are neighboring links that are proved apart over the whole range of their joint. An arm with links that need a collision
+    shape and have none (`arm.unchecked_links`) is not ok, whatever it does. The proof is of the planned motion: choose the
+    clearance for tracking errors and bodies that move.
 
     Args:
         arm: The arm, in its scene.

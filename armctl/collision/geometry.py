@@ -160,8 +160,8 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
 def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held: dict[int, int] | None = None) -> Geometry:
     """The convex geoms that an arm could touch, or touch something with, in every pair that its motion can change.
 
-    All joints outside the joint map stay where `qpos` (nq,) has them. `held` are bodies that are carried, and the body that
-    carries each.
+    Geoms include their contact margins. All joints outside the joint map stay where `qpos` (nq,) has them. `held` are bodies
+    that are carried, and the body that carries each.
     """
     data = placed(model, qpos)
     mujoco.mj_comPos(model, data)
@@ -169,6 +169,8 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     pairs = _moving_pairs(model, frames)
     geom_ids = np.unique(pairs)
     shapes = [_shape(model, data, int(geom), int(frames.of_body[model.geom_bodyid[geom]])) for geom in geom_ids]
+    margins = _margins(model)[geom_ids].tolist()
+    shapes = [_grown(shape, margin) if margin > 0.0 else shape for shape, margin in zip(shapes, margins, strict=True)]
     arrays = _arrays(frames, shapes, joint_map)
     rows = np.searchsorted(geom_ids, pairs)
     return _geometry(frozen(geom_ids), shapes, frames, arrays, rows)
@@ -318,6 +320,25 @@ def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) ->
     vertices = position + vertices @ R.T
     center, bound = bounding_sphere(vertices, np.zeros(len(vertices)))
     return round_shape._replace(vertices=vertices, center=center, bound=bound, edges=edges)
+
+
+def _margins(model: mujoco.MjModel) -> Array:
+    """(ngeom,) m by which each geom acts beyond its surface: a contact acts within the sum of the margins of its two geoms.
+
+    A listed pair has a margin of its own; each of its geoms has at least half of it.
+    """
+    margins = model.geom_margin.copy()
+    for geoms in (model.pair_geom1, model.pair_geom2):
+        np.maximum.at(margins, geoms, 0.5 * model.pair_margin)
+    return margins
+
+
+def _grown(shape: Shape, margin: float) -> Shape:
+    """A shape with all points up to a margin, m, from it."""
+    if shape.kind == ShapeKind.PLANE:
+        return shape._replace(position=shape.position + margin * shape.rotation[:, 2])
+    kind = ShapeKind.HULL if shape.kind == ShapeKind.BOX else shape.kind  # a box with round edges is none
+    return shape._replace(kind=kind, inflation=shape.inflation + margin, bound=shape.bound + margin)
 
 
 def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Edges]:

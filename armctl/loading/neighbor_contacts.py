@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from armctl.loading.home import home_qpos
-from armctl.mjmodel.queries import Joints, last_joint_above, stands_alone
+from armctl.mjmodel.queries import Joints, acts, last_joint_above, stands_alone
 
 _RANDOM_CONFIGURATIONS = 20
 _LEVEL_M = 1e-3  # a surface that is drawn at the height of the base may differ from it by this much
@@ -92,4 +92,4 @@ def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[int, int]
 
 def _touching_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, int]]:
     mujoco.mj_fwdPosition(model, data)
-    return [(int(contact.geom[0]), int(contact.geom[1])) for contact in data.contact if contact.dist < 0]
+    return [(int(contact.geom[0]), int(contact.geom[1])) for contact in data.contact if acts(contact)]

@@ -217,6 +217,11 @@ def branches(model: mujoco.MjModel, body: int) -> list[int]:
     return [b for b in range(1, model.nbody) if model.body_parentid[b] in rigid and model.body_jntnum[b] and b not in rigid]
 
 
+def acts(contact: mujoco.MjContact) -> bool:
+    """Whether a contact acts: its geoms are within their margins, which are often zero; others are only detected."""
+    return bool(contact.dist < contact.includemargin)
+
+
 def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     """(k, 2, 3) where two geoms press on each other, m, and the force on the second, N, in world axes: the first 64."""
     count = min(data.ncon, _MAX_CONTACTS)
