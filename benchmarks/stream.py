@@ -3,11 +3,11 @@
     python benchmarks/stream.py [--arms robot_arm_3dof panda ur5e] [--seconds 20] [--out benchmarks/results/stream.md]
 
 The targets move on a sine of 0.3 rad and 0.3 Hz, with 5 mrad of noise; then the same 100 ms late; then as chunks of 16 rows at
-30 Hz, which a policy emits every 100 ms, 100 ms late: the worst of three random smooth networks, which nothing was tuned on.
-Limits are compared with differences of the setpoints at 1 ms, so a jump counts with its speed. "linear" goes from each target
-to the next one within a frame, "filter" is an exponential filter of 50 ms, "held" sends each target as it comes with steps of
-at most 0.2 rad, as LeRobot's `send_action` with `max_relative_target` does, "stop to stop" is `OnlineMotion`, which plans each
-motion to rest with ruckig.
+at 30 Hz, which a policy emits every 100 ms, 100 ms late: the worst of three random smooth networks, which nothing was tuned on.
+The noise of each row is its own. Limits are compared with differences of the setpoints at 1 ms, so a jump counts with its
+speed. "linear" goes from each target to the next one within a frame, and interpolates the rows of a chunk at their own times;
+"filter" is an exponential filter of 50 ms, "held" sends each target as it comes with steps of at most 0.2 rad, as LeRobot's
+`send_action` with `max_relative_target` does, "stop to stop" is `OnlineMotion`, which plans each motion to rest with ruckig.
 
 The second table: chunks every 100 ms lead into a wall; MuJoCo judges the setpoints.
 """
@@ -37,16 +37,25 @@ Wanted = Callable[[float], np.ndarray]
 
 
 class Linear:
-    """From where it is to each target within one frame."""
+    """From where it is to each target within one frame; along the rows of a chunk by their times."""
 
     def __init__(self, arm: armctl.Arm, q: np.ndarray):
         self.q = self.start = self.goal = q
         self.left = 0.0
+        self.t = 0.0
+        self.chunk: tuple[np.ndarray, np.ndarray] | None = None
 
     def push(self, q: np.ndarray) -> None:
         self.start, self.goal, self.left = self.q, q, 1.0
 
+    def push_chunk(self, t: np.ndarray, rows: np.ndarray) -> None:
+        self.chunk = (t, rows)
+
     def step(self) -> np.ndarray:
+        self.t += DT
+        if self.chunk is not None:
+            times, rows = self.chunk
+            return np.array([np.interp(self.t, times, joint) for joint in rows.T])
         self.left = max(0.0, self.left - DT * RATE_HZ)
         self.q = self.goal + self.left * (self.start - self.goal)
         return self.q
@@ -101,6 +110,9 @@ class Streamed:
     def push(self, q: np.ndarray, t: float | None = None) -> None:
         self.stream.push(self.stream.t if t is None else t, q)
 
+    def push_chunk(self, t: np.ndarray, rows: np.ndarray) -> None:
+        self.stream.push_chunk(t, rows)
+
     def step(self) -> np.ndarray:
         return self.stream.step(DT).q
 
@@ -143,16 +155,21 @@ def run(name: str, arm: armctl.Arm, wanted: Wanted, seconds: float, task: str, s
             due += every
             if task == "chunks":  # computed from what was seen 100 ms ago: its first rows are past already
                 times = t - latency + rows
-                chunk = times, np.array([wanted(each) for each in times]) + 5e-3 * rng.standard_normal(arm.n)
-                if isinstance(way, Streamed):
-                    way.stream.push_chunk(*chunk)
+                chunk = (
+                    times,
+                    arm.limits.clamp(
+                        np.array([wanted(each) for each in times]) + 5e-3 * rng.standard_normal((CHUNK_ROWS, arm.n))
+                    ),
+                )
+                if isinstance(way, (Linear, Streamed)):
+                    way.push_chunk(*chunk)
             else:
                 target = arm.limits.clamp(wanted(t - latency) + 5e-3 * rng.standard_normal(arm.n))
                 if isinstance(way, Streamed):
                     way.push(target, way.stream.t - latency)
                 else:
                     way.push(target)
-        if chunk is not None and not isinstance(way, Streamed) and t >= frame - 1e-9:
+        if chunk is not None and not isinstance(way, (Linear, Streamed)) and t >= frame - 1e-9:
             frame += 1 / RATE_HZ
             way.push(arm.limits.clamp(chunk[1][np.searchsorted(chunk[0], t)]))  # the row that is due, as policies' runners do
         started = time.process_time_ns()

@@ -49,6 +49,7 @@ class Played(NamedTuple):
     first: int  # its first tick
     reason: str = ""  # why it is not played; empty if it is
     opens: bool = False  # whether it opens a stream, whose ticks begin with 0
+    late: int = 0  # ticks by which it came too late; the arm then comes to rest on the motion before
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,25 +94,26 @@ class Player:
                 self._courses.pop(0)
             return self._courses[0].row(self.tick)
 
-    def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> tuple[int, str]:
-        """Replaces what follows a tick by a motion to rest: its first tick, and why it is not played."""
+    def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> Played:
+        """Replaces what follows a tick by a motion to rest."""
         if np.abs(sample(pieces, pieces.knots[-1:]).v).max() > REST_SPEED:
-            return 0, "the motion does not end at rest"
+            return Played(0, "the motion does not end at rest")
         with self._lock:
             first = self.tick + max(self._lead, delay) if at is None else at
             if self._stopped_from <= first:
-                return first, "the arm was stopped"
-            if first <= self.tick:
-                return first, f"the motion came {self.dt * (self.tick - first + 1):.3f} s too late"
+                return Played(first, "the arm was stopped")
+            late = self.tick - first + 1
+            if late > 0:
+                return Played(first, f"the motion came {self.dt * late:.3f} s too late", late=late)
             before = self._courses[-1]
             if first < before.at:
-                return first, "the motion starts before the one that was sent last"
+                return Played(first, "the motion starts before the one that was sent last")
             course = _Course.of(first, pieces, self.dt)
             gap = float(np.abs(course.rows[0] - before.row(first)).max())
             if gap > JOIN_TOLERANCE:
-                return first, f"the motion starts {gap:.2g} rad from where the last one is then"
+                return Played(first, f"the motion starts {gap:.2g} rad from where the last one is then")
             self._courses.append(course)
-        return first, ""
+        return Played(first)
 
     def stop(self) -> None:
         """Stops on the path, as soon as the limits allow; motions that come later are not played."""
@@ -167,9 +169,10 @@ class LinkHost:
         """Plays a motion to rest from a tick of the open stream, or after some ticks; opens a stream if there is none."""
         with self._lock:
             if self.streaming and self._player is not None:
-                return Played(*self._player.play(pieces, at, delay))
+                return self._player.play(pieces, at, delay)
             if at is not None:
-                return Played(at, self._fault or self._stopped or "the motion came too late: the stream has ended")
+                why = self._fault or self._stopped
+                return Played(at, why or "the motion came too late: the stream has ended", late=0 if why else 1)
         seen = self.link.read()
         if seen.fault:
             raise LinkError(seen.fault)
@@ -183,9 +186,9 @@ class LinkHost:
                 f"{start[joint]:.5f} rad: it moved after the motion was planned; plan again",
             )
         player = Player(start, self.link.dt, limits, self._lead)
-        first, reason = player.play(pieces, delay)
-        if reason:
-            return Played(first, reason)
+        played = player.play(pieces, delay)
+        if played.reason:
+            return played
         self._stopped = ""
         self._fault = ""
         self._kept = []
@@ -193,7 +196,7 @@ class LinkHost:
         with self._lock:
             self._player = player
             self.streaming = True
-        return Played(first, opens=True)
+        return played._replace(opens=True)
 
     def stop(self, reason: str) -> None:
         player = self._player

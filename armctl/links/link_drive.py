@@ -72,6 +72,7 @@ class LinkDrive:
         self.fault = ""  # why the robot takes no motion until `recover`; empty if it does
         self.tip_speed = tip_speed  # m/s, the greatest that is sent
         self.lost = 0  # ticks that were lost since the link was opened
+        self.late = 0  # ticks by which motions that continue others came too late
         self._arm = arm
         self._host = host
         self.envelope = envelope  # what every row is checked against
@@ -156,7 +157,11 @@ class LinkDrive:
         moves = duration > ticks * self.dt + 1e-9
         ahead = max(round(_AHEAD_S / self.dt), _AHEAD_TICKS) if moves else 0
         try:
-            first, reason, opens = self._host.play(course, at, self._arm.limits, ahead)
+            first, reason, opens, late = self._host.play(course, at, self._arm.limits, ahead)
+            if late:
+                self.late += late
+                self.come_to_rest(stop=False)
+                return
             if reason:
                 self.failure = f"not sent: {reason}" if at is None else f"{reason}; the arm came to rest on its path"
                 if at is None:

@@ -58,6 +58,7 @@ class Robot(Commands):
         arm: The model, with the limits of the robot's motions.
         link: The link, as it was given.
         lost_ticks: Ticks that the stream lost until now.
+        late_ticks: Ticks by which motions of `follow` came too late until now.
 
     Example:
         >>> with armctl.Robot("fr3", armctl.links.Franka("172.16.0.2")) as robot:
@@ -152,6 +153,11 @@ class Robot(Commands):
     def lost_ticks(self) -> int:
         """Ticks that the stream lost until now."""
         return self._drive.lost
+
+    @property
+    def late_ticks(self) -> int:
+        """Ticks by which motions of `follow` came too late until now; after each the arm comes to rest and goes on."""
+        return self._drive.late
 
     @property
     def fault(self) -> str:
@@ -249,7 +255,8 @@ class Robot(Commands):
         """Follows a moving target, as that of a Simulation; every motion to a goal is proved and checked before it is sent.
 
         Where no such motion leads to a goal, the arm goes as far towards it as one does. If the targets stop coming, the arm
-        comes to rest at the last goal.
+        comes to rest at the last goal. Where a motion comes too late, because the computer is busy, the arm comes to rest on
+        the one before, and goes on from there; `late_ticks` counts by how much.
 
         Args:
             target: As for `Simulation.follow`. A body of the model stays where the model has it.

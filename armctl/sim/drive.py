@@ -23,6 +23,7 @@ class Drive(Protocol):
     data: mujoco.MjData  # the scene now; for a robot, a mirror of what it measures
     dt: float
     failure: str  # why the last run ended early, in words; empty if it did not
+    late: int  # ticks by which references for a robot came too late until now; it came to rest instead
 
     @property
     def q_ref(self) -> Array:

@@ -48,6 +48,7 @@ class StreamRun:
         instance("arms", arms, ControlledArms, "Simulation.streaming() makes a StreamRun of its arms")
         check_arm(arm)
         self.stream = Stream(arm, arms.start(arm.tip), refusal=refusal)
+        self._arms = arms
         self._drive = arms.drive
         self._controller = arms.controllers[arm.tip]
         self._durations: dict[str, float] = {}
@@ -85,8 +86,14 @@ class StreamRun:
         ticks = ticks_for(max(self._due - self.stream.t, 0.0) + dt / 2, dt) - 2
         if ticks > 0:
             to_rest = self.stream.pieces
+            begin = self._drive.data.time
+            late = self._drive.late
+            t = self.stream.t
             reference = self.stream.reference(ticks, dt, self._drive.continuous)
             self._drive.run(self._controller, reference, self._recorder, to_rest)
+            if self._drive.late > late:
+                self.stream.restart(max(self.stream.t, t + float(self._drive.data.time) - begin), self._arms.start(self._tip))
+                self._due = self.stream.t
         return self._drive.failure
 
 

@@ -109,6 +109,7 @@ class Stepper:
             self._structure = structure
         apply_plant(self.model, self.data, plant, arms)
         self.plant = plant
+        self.late = 0  # a simulation waits for its references
         self.description = str(plant)
         self._steps_in_python = steps_in_python(plant, self._train)
         self._brake = Brake(self.model, self._held_dofs)

@@ -312,6 +312,22 @@ class Stream:
             self._take(pieces)
         self._targets.rest_at(self._rest)
 
+    def restart(self, t: float, q: ArrayLike) -> None:
+        """Forgets all targets and rests from now on, as where a robot came to rest because a motion reached it too late.
+
+        Args:
+            t: s, the time of the stream now, at least the present one.
+            q: (n,) rad, where the arm rests.
+
+        Raises:
+            InputError: A wrong length or an earlier time; nothing changes.
+        """
+        self._t = number("t", t, self._t)
+        rest = vector("q", q, self._arm.n)
+        self._previous = None
+        self._targets.rest_at(rest)
+        self._take(standing(rest))
+
     def step(self, dt: float) -> Setpoint:
         """Advances by one tick.
 

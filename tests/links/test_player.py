@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import armctl
-from armctl.links.host import Player
+from armctl.links.host import Played, Player
 from armctl.motion.trajectory.piecewise import sample, standing
 
 DT = 0.002
@@ -38,7 +38,7 @@ def assert_within(limits: armctl.Limits, rows: np.ndarray) -> None:
 def test_a_stop_at_any_time_stays_on_the_path_and_within_the_limits(seed: int, share: float):
     arm, trajectory = planned(seed)
     player = Player(trajectory(0.0).q, DT, arm.limits, LEAD)
-    assert player.play(trajectory.pieces, 0) == (0, "")
+    assert player.play(trajectory.pieces, 0) == Played(0)
     ticks = int(trajectory.duration / DT) + 1
     rows = [player.next() for _ in range(round(share * ticks))]
     player.stop()

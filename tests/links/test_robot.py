@@ -267,6 +267,22 @@ def test_follow_follows_and_comes_to_rest_at_the_last_goal():
     assert_within_limits_and_at_rest(robot, rows)
 
 
+@pytest.mark.parametrize("lost", [{60: 120}, {37: 95, 210: 140}])
+def test_follow_goes_on_after_motions_that_came_too_late(lost: dict[int, int]):
+    """Where many ticks are lost at once, the next motion is late: the arm rests, follows again, and the late ticks are told."""
+    robot = robot_of(lost=lost)
+    rows = sent_to(robot)
+    center = robot.tip.position
+    log = robot.follow(lambda t: center + 0.04 * np.array([0.0, math.sin(2 * t), math.cos(2 * t) - 1.0]), seconds=2.5)
+    assert robot.late_ticks > 0
+    assert log.failure == ""
+    assert log.t[-1] - log.t[0] > 2.4
+    assert np.linalg.norm(log.tip[-1] - log.target[:3]) < 0.01
+    robot.close()
+    assert np.array_equal(rows[-1], rows[-2])
+    assert robot.fault == ""
+
+
 def test_follow_sends_no_motion_that_touches():
     robot = robot_of()
     log = robot.follow(lambda t: [0.2, 0.0, -0.3], seconds=1.0)
