@@ -160,7 +160,7 @@ def _candidates(resonances: Array, dt: float) -> Iterator[tuple[Notch | LowPass,
 
 def _resonances(loop: Loop) -> Array:
     """rad/s, vibrations of the arm without the law, the least damped one first."""
-    poles = np.linalg.eigvals(loop._arm.A)
+    poles = loop._arm.poles()
     rates = np.log(poles[(np.abs(poles) > 0.0) & (poles.imag > 0.0)]) / loop.dt
     size = np.abs(rates)
     damping = -rates.real / size

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armctl.control.interface import CompiledController, Controller, controller_name
 from armctl.core.errors import ArmctlError, InputError
-from armctl.core.validation import Array, IntArray, integer, number
+from armctl.core.validation import Array, integer, number
 from armctl.design.loop import MAX_DELAY_TICKS, Loop
 from armctl.design.state_space import StateSpace, linear_controller
 from armctl.mjmodel.dc_motor import current_state, remove_bristles
@@ -154,7 +154,13 @@ class Linearizer:
         self._past_torques = math.ceil(longest / self.dt - _WHOLE_TICK_TOLERANCE)
         self._plant_in_words = str(self.plant)
         self._noise = _sensor_noise(arm, self.plant)
-        self._ages = self.plant.sensor_delay + self._train.sensors.ages(np.arange(_SENSOR_TICKS), self.dt)
+        ages = self.plant.sensor_delay + self._train.sensors.ages(np.arange(_SENSOR_TICKS), self.dt)
+        shares = np.array([(ages == age).mean(axis=0) for age in range(ages.max() + 1)])
+        # What all sensors have in common acts as a delay of the torques does, which needs fewer states.
+        is_common = (shares == shares[:, :1]).all()
+        common = shares[:, 0] if is_common else np.eye(1 + ages.min())[-1]
+        self._shares = np.ones((1, arm.n)) if is_common else shares[ages.min() :]
+        self._lag = np.convolve(common, _jitter_weights(plant.jitter))
 
     def arm_at(self, q: Array) -> LinearArm:
         n = self.arm.n
@@ -190,8 +196,8 @@ class Linearizer:
         if getattr(controller, "needs_deflection", False):
             links, motors = self._sides(len(linear.A))
             linear = linear._replace(C=np.vstack([linear.C, motors - links]))
-        linear = _jittered(linear, self.plant.jitter)
-        system, added = _sensed(linear, self.plant.differences_positions, self._ages)
+        linear, lag = _without_lag(linear, len(self._read))
+        system, added = _sensed(linear, self.plant.differences_positions, self._shares)
         return Loop(
             robot=arm.name,
             controller=controller_name(controller),
@@ -202,6 +208,7 @@ class Linearizer:
             delay=integer("delay", self.plant.delay + ticks, 0, MAX_DELAY_TICKS),
             holding_torque=linear.holding_torque,
             _arm=system,
+            _lag=np.concatenate([np.zeros(lag), self._lag]),
             _push=np.vstack([linear.push, np.zeros((added, arm.n))]),
             _position=np.hstack([linear.position, np.zeros((arm.n, added))]),
             _law=linear_controller(arm, controller, q, self.dt, self.plant.continuous),
@@ -280,32 +287,36 @@ def _sensor_noise(arm: Arm, plant: Plant) -> Array:
     )
 
 
-def _jittered(arm: LinearArm, jitter: int) -> LinearArm:
-    """An arm whose commands are late at random: its expected motion, with the commands before among its states."""
-    if not jitter:
-        return arm
-    size, n = arm.B.shape
+def _jitter_weights(jitter: int) -> Array:
+    """(jitter + 1,) the weights of a command 0, 1, ... ticks ago in the expected motion, where commands are late at random."""
     ages = np.arange(jitter + 1)
     steps = np.zeros((len(ages), len(ages)))
     for age in ages:
         np.add.at(steps[age], np.minimum(ages, age + 1), 1 / len(ages))  # a command is not followed by an older one
-    shares = np.linalg.matrix_power(steps, 64)[0]
-    A = np.zeros((size + jitter * n, size + jitter * n))
-    A[:size, :size] = arm.A
-    A[:size, size:] = np.hstack([share * arm.B for share in shares[1:]])
-    A[size + n :, size:-n] = np.eye((jitter - 1) * n)
-    B = np.vstack([shares[0] * arm.B, np.eye(jitter * n, n)])
-    more = ((0, 0), (0, jitter * n))
-    push = np.pad(arm.push, ((0, jitter * n), (0, 0)))
-    return arm._replace(A=A, B=B, C=np.pad(arm.C, more), push=push, position=np.pad(arm.position, more))
+    return np.linalg.matrix_power(steps, 64)[0]
 
 
-def _sensed(arm: LinearArm, is_differenced: bool, ages: IntArray) -> tuple[StateSpace, int]:
-    """An arm with its sensors, and how many states they add. Held measurements are the mean of all their (k, n) ages."""
+def _without_lag(arm: LinearArm, size: int) -> tuple[LinearArm, int]:
+    """An arm without those ticks that every command waits before it acts on the first `size` states, and how many they are."""
+    n = arm.B.shape[1]
+    blocks = [arm.B[:size], *np.hsplit(arm.A[:size, size:], (len(arm.A) - size) // n)] if len(arm.A) > size else [arm.B]
+    lag = next((age for age, block in enumerate(blocks) if block.any()), 0)
+    if not lag:
+        return arm, 0
+    kept = len(arm.A) - lag * n
+    A = arm.A[:kept, :kept].copy()
+    A[:size, size:] = np.hstack(blocks[lag + 1 :]) if kept > size else 0.0
+    B = arm.B[:kept].copy()
+    B[:size] = blocks[lag]
+    return arm._replace(A=A, B=B, C=arm.C[:, :kept], push=arm.push[:kept], position=arm.position[:, :kept]), lag
+
+
+def _sensed(arm: LinearArm, is_differenced: bool, shares: Array) -> tuple[StateSpace, int]:
+    """An arm with its sensors, and how many states they add. A measurement is a mean of ages with their (ages, n) shares."""
     size = len(arm.A)
     n = arm.B.shape[1]
     signals = len(arm.C)
-    added = n * is_differenced + signals * int(ages.max())
+    added = n * is_differenced + signals * (len(shares) - 1)
     A = np.zeros((size + added, size + added))
     A[:size, :size] = arm.A
     output = np.zeros((signals, size + added))
@@ -316,12 +327,11 @@ def _sensed(arm: LinearArm, is_differenced: bool, ages: IntArray) -> tuple[State
         output[n : 2 * n] = output[:n] / arm.dt
         output[n : 2 * n, first : first + n] -= np.eye(n) / arm.dt
         first += n
-    stages = [output]
-    for _ in range(int(ages.max())):
-        A[first : first + signals] = stages[-1]
-        stages.append(np.zeros_like(output))
-        stages[-1][:, first : first + signals] = np.eye(signals)
+    read = np.tile(shares[0], signals // n)[:, None] * output
+    for share in shares[1:]:
+        A[first : first + signals] = output
+        output = np.zeros_like(output)
+        output[:, first : first + signals] = np.eye(signals)
+        read += np.tile(share, signals // n)[:, None] * output
         first += signals
-    shares = [np.tile((ages == age).mean(axis=0), signals // n)[:, None] for age in range(len(stages))]
-    read = np.sum([share * stage for share, stage in zip(shares, stages, strict=True)], axis=0)
     return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), read, np.zeros((signals, n))), added

@@ -25,7 +25,7 @@ from armctl.design.stability import (
     loop_margins,
     robustness,
 )
-from armctl.design.state_space import ComplexArray, StateSpace
+from armctl.design.state_space import ComplexArray, DelayedCascade, StateSpace, delay_transfer
 
 if TYPE_CHECKING:
     import control
@@ -40,6 +40,8 @@ MIN_DAMPING_RATIO = 0.1
 _MIN_RINGING_SHARE = 0.05
 _STEP_LEVELS = 12  # of the step response, whose samples lie twice as far apart in each
 _STEPS_PER_LEVEL = 16
+_MAX_DOUBLINGS = 60  # of the time over which noise is added up
+_LEAST_SHARE = 1e-14  # of a variance; less is not added any more
 _SHOWN_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
 _BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
 
@@ -77,7 +79,8 @@ class Loop:
     dt: float
     delay: int
     holding_torque: Array
-    _arm: StateSpace
+    _arm: StateSpace  # from torques that act to what is measured, without the delays of `_lag`
+    _lag: Array  # weights of a torque 0, 1, ... ticks ago: the delays between motors and controller besides `delay`
     _push: Array
     _position: Array
     _law: StateSpace
@@ -95,7 +98,7 @@ class Loop:
         """(k, k), the matrix of the state.
 
         The state is that of the arm, positions and velocities first, what its sensors keep, the memory of the controller, and
-        the delayed torques.
+        the delayed torques. A delay that all sensors or all actuators of the plant have is one of the torques, too.
         """
         return self.system.A
 
@@ -114,28 +117,37 @@ class Loop:
         """(n, n); zero, because torque does not act on the position at the same tick."""
         return self.system.D
 
+    @property
+    def delay_weights(self) -> Array:
+        """(k,), the weights of the controller's torque 0, 1, ... ticks ago in what the loop feeds back: those of all delays."""
+        return np.concatenate([np.zeros(self.delay), self._lag])
+
     @cached_property
     def system(self) -> StateSpace:
         """The loop transfer function as one object: `A`, `B`, `C` and `D`."""
         n = self.n
         moving = len(self._arm.A)
         memory = moving + len(self._law.A)
-        size = memory + self.delay * n
+        weights = self.delay_weights
+        size = memory + (len(weights) - 1) * n
         A = np.zeros((size, size))
         A[:moving, :moving] = self._arm.A
         A[moving:memory, :moving] = self._law.B @ self._arm.C
         A[moving:memory, moving:memory] = self._law.A
-        output = np.zeros((n, size))
-        output[:, :moving] = -self._law.D @ self._arm.C
-        output[:, moving:memory] = -self._law.C
-        for _ in range(self.delay):  # each tick of delay stores the output of the stage before it
-            A[memory : memory + n] = output
-            output = np.zeros((n, size))
-            output[:, memory : memory + n] = np.eye(n)
+        stage = np.zeros((n, size))
+        stage[:, :moving] = -self._law.D @ self._arm.C
+        stage[:, moving:memory] = -self._law.C
+        output = weights[0] * stage
+        for weight in weights[1:]:  # each tick of delay stores the output of the stage before it
+            A[memory : memory + n] = stage
+            stage = np.zeros((n, size))
+            stage[:, memory : memory + n] = np.eye(n)
+            output += weight * stage
             memory += n
         B = np.zeros((size, n))
         B[:moving] = self._arm.B
-        return StateSpace(A, B, output, np.zeros((n, n)))
+        law = replace(self._law, C=-self._law.C, D=-self._law.D)
+        return DelayedCascade(A, B, output, np.zeros((n, n)), (self._arm, law), weights)
 
     @cached_property
     def _margins(self) -> LoopMargins:
@@ -224,8 +236,6 @@ class Loop:
         Raises:
             InputError: The noise is negative or not finite.
         """
-        from scipy.linalg import solve_discrete_lyapunov
-
         n = self.n
         noise = self._noise
         if encoder_noise is not None:
@@ -241,13 +251,14 @@ class Loop:
         added[: 2 * n] = np.block([[differenced, position, nothing], [differenced / self.dt, nothing, velocity]])
         before = np.zeros((signals, n))
         before[n : 2 * n] = -differenced / self.dt
-        # The states are those of the loop, with the noise of the last tick. Torque acts on the arm, or on the line of delays.
+        # The states are those of the loop, with the noise of the last tick. Torque acts on the arm, and minus it is delayed.
         system = self.system
         moving = len(self._arm.A)
         memory = moving + len(self._law.A)
         by_torque = np.zeros((len(system.A), n))
-        by_torque[:moving] = 0.0 if self.delay else self._arm.B
-        by_torque[memory : memory + n] = np.eye(n) if self.delay else 0.0
+        weights = self.delay_weights
+        by_torque[:moving] = weights[0] * self._arm.B
+        by_torque[memory : memory + n] = -np.eye(n) if len(weights) > 1 else 0.0
         by_measurement = by_torque @ self._law.D
         by_measurement[moving:memory] += self._law.B
         A = np.block([[system.A - system.B @ system.C, by_measurement @ before], [np.zeros((n, len(system.A) + n))]])
@@ -255,7 +266,7 @@ class Loop:
         rest = np.zeros((n, len(system.A) - memory))
         C = np.hstack([self._law.D @ self._arm.C, self._law.C, rest, self._law.D @ before])
         D = self._law.D @ added
-        covariance = solve_discrete_lyapunov(A, B @ B.T)
+        covariance = _covariance(A, B @ B.T)
         with_state = A @ covariance @ C.T + B @ D.T
         of_lags = [C @ covariance @ C.T + D @ D.T, C @ with_state, C @ A @ with_state]
         variance = np.array([1.5, -2.0, 0.5]) @ [lag.diagonal() for lag in of_lags]
@@ -349,7 +360,7 @@ class Loop:
         outputs = np.vstack([self._arm.C, self._position])
         inputs = np.hstack([self._arm.B, self._push])
         arm = StateSpace(self._arm.A, inputs, outputs, np.zeros((len(outputs), 2 * n))).transfer(z)
-        law = self._law.transfer(z) * z[:, None, None] ** -self.delay
+        law = self._law.transfer(z) * delay_transfer(self.delay_weights, z)[:, None, None]
         signals = len(self._arm.C)
         seen = np.linalg.solve(np.eye(signals) - arm[:, :signals, :n] @ law, arm[:, :signals, n:])
         closed = arm[:, signals:, n:] + arm[:, signals:, :n] @ law @ seen
@@ -412,6 +423,21 @@ def _largest_displacement(A: Array, push: Array, position: Array) -> Array:
     return largest
 
 
+def _covariance(A: Array, Q: Array) -> Array:
+    """The sum of A^k Q A^k^T: of the state of a stable system that white noise with the covariance Q drives.
+
+    By doubling (Smith, Matrix equation XA + BX = C, 1968), which does not depend on the units of the states.
+    """
+    covariance = Q
+    for _ in range(_MAX_DOUBLINGS):
+        later = A @ covariance @ A.T
+        covariance = covariance + later
+        if (np.abs(later.diagonal()) <= _LEAST_SHARE * covariance.diagonal()).all():
+            break
+        A = A @ A
+    return covariance
+
+
 def draw_loop(figure: Figure, loop: Loop) -> None:
     """Three panels: Nyquist curve and sensitivity of each joint with the other joints closed, and the tip's compliance."""
     nyquist, sensitivity, compliance = figure.subplots(1, 3)
@@ -461,4 +487,4 @@ def _coarse_transfer(plant: ComplexArray, loop: Loop, points: IntArray | slice) 
 def coarse_plant(loop: Loop) -> ComplexArray:
     """The transfer function of arm and delay from torques to measured positions and velocities, on `coarse_grid`."""
     z = np.exp(1j * coarse_grid(loop.dt) * loop.dt)
-    return loop._arm.transfer(z) * z[:, None, None] ** -loop.delay
+    return loop._arm.transfer(z) * delay_transfer(loop.delay_weights, z)[:, None, None]

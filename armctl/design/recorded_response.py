@@ -10,7 +10,7 @@ from armctl.core.log import Log
 from armctl.core.validation import Array, instance
 from armctl.design.arm_excitation import Excitation, Multisine
 from armctl.design.loop import Loop
-from armctl.design.state_space import ComplexArray
+from armctl.design.state_space import ComplexArray, delay_transfer
 
 OF = ("plant", "closed loop", "sensitivity")
 _RISK = 0.05  # that the true response is outside the bounds
@@ -168,7 +168,7 @@ def _predicted(loop: Loop, multisine: Multisine, of: str, is_late: bool) -> Comp
     joints = np.ix_(range(len(z)), multisine.joints, multisine.joints)
     if of == "sensitivity":
         return sensitivity[joints]
-    late = z ** -(loop.delay if is_late else 0)
+    late = delay_transfer(loop.delay_weights if is_late else loop._lag, z)
     plant = loop._arm.transfer(z)[:, : loop.n] * late[:, None, None]
     if len(multisine.joints) == loop.n:
         return plant

@@ -126,7 +126,7 @@ def _frequencies(loop: StateSpace, dt: float, closed_poles: ComplexArray) -> Arr
         if first < frequencies[0]:
             count = 1 + int(points * log(frequencies[0] / first))
             frequencies = np.concatenate([np.geomspace(first, frequencies[0], count, endpoint=False), frequencies])
-    open_poles = np.linalg.eigvals(loop.A)
+    open_poles = loop.poles()
     poles = np.concatenate([open_poles, closed_poles])
     is_resonance = (np.abs(poles) > _MIN_RESONANCE) & (poles.imag > 0.0)
     with np.errstate(divide="ignore"):

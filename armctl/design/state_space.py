@@ -55,6 +55,35 @@ class StateSpace:
         B = np.broadcast_to(self.B.astype(complex), (len(z), *self.B.shape))
         return self.C @ np.linalg.solve(z[:, None, None] * identity - self.A, B) + self.D
 
+    def poles(self) -> ComplexArray:
+        """(k,) the eigenvalues of A; those at zero may be left out."""
+        return np.linalg.eigvals(self.A).astype(np.complex128)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DelayedCascade(StateSpace):
+    """A cascade of systems and a delay, whose transfer function and poles do not need the states of the delay."""
+
+    parts: tuple[StateSpace, ...]  # from input to output
+    weights: Array  # of the output 0, 1, ... ticks ago
+
+    def transfer(self, z: ComplexArray) -> ComplexArray:
+        """As that of any system."""
+        found = delay_transfer(self.weights, z)[:, None, None] * self.parts[0].transfer(z)
+        for part in self.parts[1:]:
+            found = part.transfer(z) @ found
+        return found
+
+    def poles(self) -> ComplexArray:
+        """As those of any system; those of the delay, at zero, are left out."""
+        return np.concatenate([part.poles() for part in self.parts])
+
+
+def delay_transfer(weights: Array, z: ComplexArray) -> ComplexArray:
+    """(len(z),) the transfer function of a weighted mean of a signal 0, 1, ... ticks ago."""
+    used = np.flatnonzero(weights)
+    return np.asarray(z[:, None] ** -used.astype(float) @ weights[used], dtype=np.complex128)
+
 
 def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, continuous: bool) -> StateSpace:
     """The linear model of a controller that holds an arm at q: from measured positions and velocities (2n) to torques (n).

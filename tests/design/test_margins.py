@@ -429,3 +429,66 @@ def test_default_pd_of_a_damped_arm_has_the_margins_and_twice_its_stiffness_has_
         assert found.peak_sensitivity.value <= MAX_PEAK_SENSITIVITY
         twice = armctl.margins(arm, make(arm, stiffness=2 * law.stiffness, damping=law.damping), fresh)
         assert twice.delay.value < 5e-3 or twice.peak_sensitivity.value > MAX_PEAK_SENSITIVITY
+
+
+LATE_PLANTS = [
+    {"sensor_delay": 3},
+    {"delay": 2, "sensor_delay": 1},
+    {"sensor_delay": 2, "jitter": 2},
+    {"sensor_delay": 4, "encoder_bits": 14},
+    {"delay": 1, "jitter": 1, "encoder_noise": 1e-5},
+]
+
+
+def delayed_by_states(arm, law, options):
+    """The poles and the loop transfer function with every delay as states: a line of past measurements, one of torques."""
+    undelayed = {name: value for name, value in options.items() if name not in ("delay", "sensor_delay", "jitter")}
+    loop = armctl.linearize(arm, law, arm.home, armctl.Plant(timestep=0.004, **undelayed))
+    A, B, C = loop.A, loop.B, loop.C
+    n = arm.n
+    jitter = options.get("jitter", 0)
+    mean = {0: [1.0], 1: [0.5, 0.5], 2: [1 / 3, 4 / 9, 2 / 9]}[jitter]  # a late command is not followed by an older one
+    taps = np.concatenate([np.zeros(options.get("delay", 0) + options.get("sensor_delay", 0)), mean])
+    line = (len(taps) - 1) * n
+    closed = np.zeros((len(A) + line, len(A) + line))
+    closed[: len(A), : len(A)] = A - taps[0] * B @ C
+    closed[: len(A), len(A) :] = -np.hstack([tap * B for tap in taps[1:]])
+    closed[len(A) : len(A) + n, : len(A)] = C
+    closed[len(A) + n :, len(A) : -n] = np.eye(line - n)
+
+    def transfer(w):
+        z = np.exp(1j * w * loop.dt)
+        return sum(tap * z**-k for k, tap in enumerate(taps)) * (C @ np.linalg.solve(z * np.eye(len(A)) - A, B))
+
+    return np.linalg.eigvals(closed), transfer
+
+
+@pytest.mark.parametrize("law", ["pd-gravity", "computed-torque"])
+@pytest.mark.parametrize("options", LATE_PLANTS, ids=str)
+def test_delays_have_the_poles_and_responses_of_lines_of_past_torques(arm, options, law):
+    loop = armctl.linearize(arm, law, arm.home, armctl.Plant(timestep=0.004, **options))
+    poles, transfer = delayed_by_states(arm, law, options)
+    assert loop.margins().spectral_radius == pytest.approx(np.abs(poles).max(), rel=1e-9)
+    for w, found in zip((1.0, 30.0, 300.0), loop.transfer([1.0, 30.0, 300.0]), strict=True):
+        assert np.allclose(found, transfer(w), rtol=1e-9, atol=1e-12 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("options", LATE_PLANTS, ids=str)
+def test_a_delay_of_sensors_is_one_state_per_joint_and_tick(arm, options):
+    loop = armctl.linearize(arm, "pd-gravity", arm.home, armctl.Plant(timestep=0.004, **options))
+    ticks = sum(options.get(name, 0) for name in ("delay", "sensor_delay", "jitter"))
+    assert len(loop.A) == (2 + ("encoder_bits" in options) + ticks) * arm.n
+
+
+@pytest.mark.parametrize(
+    "options", [each for each in LATE_PLANTS if "encoder" in str(each)] + [{"delay": 1, "encoder_bits": 14}]
+)
+def test_torque_noise_of_a_delayed_loop_is_the_integral_of_its_spectrum(arm, options):
+    loop = armctl.linearize(arm, "pd-gravity", arm.home, armctl.Plant(timestep=0.004, **options))
+    angle = (np.arange(20000) + 0.5) * np.pi / 20000
+    sigma = options.get("encoder_noise", 2 * np.pi / 2**14 / math.sqrt(12))
+    position, velocity = np.hsplit(loop._law.D, 2)  # the law has no memory
+    gain = position + velocity * ((1 - np.exp(-1j * angle)) / loop.dt)[:, None, None]
+    torque = loop.sensitivity(angle / loop.dt) @ (sigma * gain)
+    power = (np.abs(torque) ** 2).sum(axis=2) * (1.5 - 2 * np.cos(angle) + 0.5 * np.cos(2 * angle))[:, None]
+    assert loop.chatter() == pytest.approx(np.sqrt(power.mean(axis=0)), rel=1e-6)
