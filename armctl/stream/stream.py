@@ -197,7 +197,7 @@ class Stream:
         self._counts["targets"] += 1
         self._counts["late"] += time < self._t
         self._compare(time, target)
-        self._targets.push(time, target)
+        self._targets.push(time, target, self._t)
         self._plan()
 
     def push_chunk(self, times: ArrayLike, rows: ArrayLike) -> None:

@@ -10,11 +10,15 @@ import numpy as np
 from armctl.core.validation import Array
 
 _HISTORY_S = 0.8  # older targets say nothing about the next one
-# Numbers of targets in the fit, and the degree of its polynomial. Few follow fast motions, many average noise.
-_FITS = ((4, 1), (6, 2), (10, 2), (16, 2))
+# Numbers of targets in the fit, and the degree of its polynomial. Few follow fast motions, many average noise; the lower the
+# degree, the less noise is amplified far ahead.
+_FITS = ((4, 1), (6, 2), (10, 2), (16, 2), (2, 1), (8, 1), (16, 1), (1, 0), (3, 0))
 _MIN_FOR_SLOPE = 2
 _MIN_FOR_CURVATURE = 6  # with fewer, the noise of the curvature exceeds what it corrects
-_JUDGED_AHEAD = 3  # frames, after which a prediction is compared with the target
+_JUDGED_AHEAD = 3  # frames after its making for which a prediction is judged: the arm follows it until about then
+_MAX_PREDICTIONS = 64  # that wait for their judgement
+_EQUAL = 1.1  # a fit whose errors exceed the least ones by no more than this is as good
+_NO_ERROR = 1e-6  # rad^2 (m^2)
 _FORGETTING = 0.9  # of earlier errors, at each target
 _MIN_FOR_SCATTER = 4
 _JUMP_FACTOR = 6.0  # of the scatter about the fit; a target that is further off begins a new history
@@ -54,7 +58,9 @@ class TimedTargets:
         self._v_max = v_max
         self._a_max = a_max
         self.rest = q  # (n,) rad, the newest target, where the arm rests if nothing more arrives
-        self._history: deque[tuple[float, Array]] = deque(maxlen=_FITS[-1][0] + _JUDGED_AHEAD)
+        self._history: deque[tuple[float, Array]] = deque(maxlen=max(count for count, _ in _FITS) + _JUDGED_AHEAD)
+        # The time for which each prediction is judged, that of its newest target, and the coefficients of its fits.
+        self._predictions: deque[tuple[float, float, list[Array]]] = deque(maxlen=_MAX_PREDICTIONS)
         self._errors = np.zeros(len(_FITS))
         self._chunk: tuple[Array, Array] | None = None
 
@@ -63,17 +69,19 @@ class TimedTargets:
         """The time of the newest single target, s."""
         return self._history[-1][0] if self._history else -np.inf
 
-    def push(self, t: float, q: Array) -> None:
-        """Adds a target (n,) for a time that is later than `newest`. It ends a chunk."""
+    def push(self, t: float, q: Array, now: float) -> None:
+        """Adds a target (n,) for a time that is later than `newest`, as it arrives at the time `now`. It ends a chunk."""
         self._chunk = None
         history = self._history
         while history and t - history[0][0] > _HISTORY_S:
             history.popleft()
-        if history and self._is_jump(t, q):
-            history.clear()
-            self._errors[:] = 0.0
+        if not history or self._is_jump(t, q):
+            self._forget()
         self._judge(t, q)
         history.append((t, q))
+        if len(history) >= _MIN_FOR_SLOPE:
+            ahead = max(now, t) + _JUDGED_AHEAD * self.interval
+            self._predictions.append((ahead, t, [_fit(*self._last(), *fit) for fit in _FITS]))
         self.rest = q
 
     def push_chunk(self, t: Array, rows: Array) -> None:
@@ -83,12 +91,12 @@ class TimedTargets:
             t = np.concatenate([self._chunk[0][earlier], t])
             rows = np.concatenate([self._chunk[1][earlier], rows])
         self._chunk = (t, rows)
-        self._history.clear()
+        self._forget()
         self.rest = rows[-1]
 
     def rest_at(self, q: Array) -> None:
         """Forgets all targets: the arm comes to rest, near q (n,)."""
-        self._history.clear()
+        self._forget()
         self._chunk = None
         self.rest = q
 
@@ -115,25 +123,33 @@ class TimedTargets:
         if len(self._history) < _MIN_FOR_SLOPE:
             at_rest = np.zeros((len(times), len(self.rest)))
             return self.rest + at_rest, at_rest, at_rest
-        newest = self._history[-1][0]
-        best = int(np.argmin(self._errors))
-        c = _fit(*self._last(0), *_FITS[best])
+        _, newest, fits = self._predictions[-1]
+        # At rest all are equal: the first one follows best what comes then.
+        c = fits[int(np.argmax(self._errors <= _EQUAL * self._errors.min() + _NO_ERROR))]
         u = (times - newest)[:, None]
         return c[0] + u * (c[1] + u * c[2]), c[1] + 2 * u * c[2], np.broadcast_to(2 * c[2], (len(times), c.shape[1]))
 
     def _judge(self, t: float, q: Array) -> None:
-        """Compares a target with what each fit predicted some frames ago."""
-        if len(self._history) < _MIN_FOR_CURVATURE + _JUDGED_AHEAD:
+        """Compares a target with what each fit predicted for its time when the arm had to follow that prediction."""
+        due = []
+        while self._predictions and self._predictions[0][0] <= t:
+            due.append(self._predictions.popleft())
+        if len(self._history) < _MIN_FOR_CURVATURE:
             return
-        times, rows = self._last(_JUDGED_AHEAD - 1)
-        u = t - times[-1]
-        errors = [np.sum((q - (c[0] + u * (c[1] + u * c[2]))) ** 2) for c in (_fit(times, rows, *fit) for fit in _FITS)]
-        self._errors = _FORGETTING * self._errors + errors
+        for _, newest, fits in due[-1:]:
+            u = t - newest
+            errors = [np.sum((q - (c[0] + u * (c[1] + u * c[2]))) ** 2) for c in fits]
+            self._errors = _FORGETTING * self._errors + errors
 
-    def _last(self, without: int) -> tuple[Array, Array]:
-        """Times (K,) and targets (K, n) of the history, without the newest ones."""
-        kept = list(self._history)[: len(self._history) - without]
-        return np.array([t for t, _ in kept]), np.array([q for _, q in kept])
+    def _forget(self) -> None:
+        """Begins a new history. What was learned about the fits is learned anew."""
+        self._history.clear()
+        self._predictions.clear()
+        self._errors[:] = 0.0
+
+    def _last(self) -> tuple[Array, Array]:
+        """Times (K,) and targets (K, n) of the history."""
+        return np.array([t for t, _ in self._history]), np.array([q for _, q in self._history])
 
     def _is_jump(self, t: float, q: Array) -> bool:
         """Whether a target does not continue the motion of the history."""
@@ -143,7 +159,7 @@ class TimedTargets:
         times = np.array([each for each, _ in self._history])
         fitted = self._predicted(np.append(times, t))[0]
         few = slice(-_FITS[1][0], None)
-        scatter = np.sqrt(np.mean((fitted[:-1] - self._last(0)[1])[few] ** 2, axis=0))
+        scatter = np.sqrt(np.mean((fitted[:-1] - self._last()[1])[few] ** 2, axis=0))
         possible = 0.5 * self._a_max * (t - newest) ** 2
         return bool((np.abs(q - fitted[-1]) > np.maximum(_JUMP_FACTOR * scatter, _MIN_JUMP) + possible).any())
 
@@ -167,7 +183,7 @@ def _fit(t: Array, q: Array, count: int, degree: int) -> Array:
     t = t[-count:]
     q = q[-count:]
     if len(t) < _MIN_FOR_CURVATURE:
-        degree = 1
+        degree = min(degree, 1)
     coefficients = np.zeros((3, q.shape[1]))
     coefficients[: degree + 1] = np.linalg.lstsq(np.vander(t - t[-1], degree + 1, increasing=True), q, rcond=None)[0]
     return coefficients

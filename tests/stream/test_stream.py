@@ -42,7 +42,7 @@ def assert_inside(arm: armctl.Arm, points: list[Setpoint]) -> None:
         assert (np.abs(torque) <= free).all()
 
 
-def followed(arm: armctl.Arm, wanted, seconds: float, *, noise: float = 0.0, latency: float = 0.0):
+def followed(arm: armctl.Arm, wanted, seconds: float, *, noise: float = 0.0, latency: float = 0.0, rate: float = RATE):
     """The greatest and the RMS distance from a moving target after one second, and the lag, s."""
     stream = armctl.Stream(arm, wanted(0.0))
     rng = np.random.default_rng(0)
@@ -52,7 +52,7 @@ def followed(arm: armctl.Arm, wanted, seconds: float, *, noise: float = 0.0, lat
     due = 0.0
     while stream.t < seconds:
         if stream.t >= due - 1e-9:
-            due += 1 / RATE
+            due += 1 / rate
             t = stream.t - latency
             stream.push(t, wanted(t) + noise * rng.standard_normal(arm.n))
         points.append(stream.step(DT))
@@ -86,6 +86,19 @@ def test_latency_is_predicted_away(arm):
     _, rms, lag = followed(arm, sine(arm), 3.0, latency=0.1)
     assert rms < 0.006
     assert abs(lag) < 0.02
+
+
+@pytest.mark.parametrize("latency", [0.15, 0.2])
+def test_slow_targets_that_are_late_and_noisy_are_followed_better_than_by_interpolation(arm, latency: float):
+    """Interpolated, the arm is at the newest target a frame after it arrived; the fit is chosen for the age of the targets."""
+    wanted = sine(arm, 0.2, 0.1)
+    rate = 50.0
+    rng = np.random.default_rng(0)
+    times = np.arange(0.0, 5.0, 1 / rate) - latency
+    targets = np.array([wanted(t) for t in times]) + 0.01 * rng.standard_normal((len(times), arm.n))
+    interpolated = targets - np.array([wanted(t + latency + 1 / rate) for t in times])
+    _, rms, _ = followed(arm, wanted, 5.0, noise=0.01, latency=latency, rate=rate)
+    assert rms < 0.8 * np.sqrt(np.mean(interpolated[50:] ** 2))
 
 
 def test_a_target_that_sets_off_at_half_the_arms_acceleration_is_no_jump(arm):
