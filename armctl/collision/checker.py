@@ -38,9 +38,11 @@ class _Memory(threading.local):
 class CollisionChecker:
     """Contacts and distances of an arm with itself and with its scene. Threads may share it.
 
-    Everything outside the arm's chain stands where `qpos` has it. Left out are contacts that no motion of the arm changes,
-    pairs that touch at every one of many random configurations, neighboring links that touch at home (their geoms overlap by
-    design), and pairs that one joint alone moves and that are proved apart over its whole range.
+    Everything outside the arm's chain stands where `qpos` has it. A pair touches where MuJoCo makes a contact of it: within the
+    margins of its geoms. Left out are contacts that no motion of the arm changes, pairs that touch at every one of many random
+    configurations, neighboring links that touch at home (their geoms overlap by design), and pairs that one joint alone moves
+    and that are proved apart over its whole range. `load` takes those of neighbors out of the model, so that a simulation leaves
+    them out, too; `left_out` names those whose contact a simulation keeps.
     """
 
     def __init__(
@@ -65,7 +67,10 @@ class CollisionChecker:
         allowed = allowed_geoms(self._model, allow)
         keep = [tuple(sorted(pair)) not in allowed for pair in geometry.geom_ids[geometry.pairs].tolist()]
         self._set(geometry.with_pairs(np.array(keep, bool)))
-        self._set(self.geometry.with_pairs(~self._touch_by_design()))
+        by_design = self._touch_by_design()
+        found = [self.names(int(pair)) for pair in np.flatnonzero(by_design)]
+        self.left_out = tuple(dict.fromkeys(found))  # bodies that touch by design, and whose contacts a simulation keeps
+        self._set(self.geometry.with_pairs(~by_design))
         self._set(self.geometry.with_pairs(~self._proved_by_one_joint()))
         self.not_convex = self._not_convex_geoms()  # names of height fields and other geoms that no proof covers
 

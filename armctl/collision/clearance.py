@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,7 +12,7 @@ from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.collision.interface import KeptAxis
 from armctl.core.errors import InputError
-from armctl.core.result import Verdict
+from armctl.core.result import Verdict, left_out_text
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm, check_arm
@@ -56,6 +56,8 @@ class ClearanceCheck(Verdict):
         second: The other.
         clearance: The required clearance, m.
         reason: Why it is not ok, in one sentence; empty if it is.
+        left_out: Pairs of names of bodies that touch by design, and that the proof leaves out though a simulation keeps their
+            contact.
     """
 
     ok: bool
@@ -65,13 +67,15 @@ class ClearanceCheck(Verdict):
     second: str
     clearance: float
     reason: str
+    left_out: tuple[tuple[str, str], ...] = ()
 
     def __str__(self) -> str:
         if not self.ok:
             return self.reason
         if not self.first:
-            return "nothing can touch"
-        return f"at least {1e3 * self.distance:.2f} mm, between {self.first} and {self.second} at {self.time:.3f} s"
+            return f"nothing can touch{left_out_text(self.left_out)}"
+        nearest = f"at least {1e3 * self.distance:.2f} mm, between {self.first} and {self.second} at {self.time:.3f} s"
+        return f"{nearest}{left_out_text(self.left_out)}"
 
 
 def check_clearance(
@@ -128,6 +132,12 @@ def clearance_of(
     checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptAxis | None = None
 ) -> ClearanceCheck:
     """As `check_clearance`, with a checker that is at hand, and of the shapes that there are."""
+    return replace(_clearance_of(checker, trajectory, clearance, keep), left_out=checker.left_out)
+
+
+def _clearance_of(
+    checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptAxis | None
+) -> ClearanceCheck:
     checker.require_convex()
     if trajectory.coefficients.shape[1] > MAX_DEGREE + 1:
         raise InputError(

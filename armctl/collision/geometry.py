@@ -97,10 +97,11 @@ class Geometry:
     arrays: dict[str, Any]  # what the core takes, without the pairs
     core: CollisionModel  # the model in the core
     pairs: IntArray  # (K, 2) the shapes of each pair
+    margins: Array  # (K,) m, the distance at which MuJoCo makes a contact of each pair
 
     def with_pairs(self, keep: BoolArray) -> Geometry:
         """The same geometry with the pairs that `keep` (K,) marks."""
-        return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs[keep])
+        return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs[keep], self.margins[keep])
 
     def joints_between(self, pair: int) -> list[int]:
         """The joints that move one geom of a pair relative to the other: rows of the joint map."""
@@ -160,8 +161,8 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
 def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held: dict[int, int] | None = None) -> Geometry:
     """The convex geoms that an arm could touch, or touch something with, in every pair that its motion can change.
 
-    Geoms include their contact margins. All joints outside the joint map stay where `qpos` (nq,) has them. `held` are bodies
-    that are carried, and the body that carries each.
+    All joints outside the joint map stay where `qpos` (nq,) has them. `held` are bodies that are carried, and the body that
+    carries each.
     """
     data = placed(model, qpos)
     mujoco.mj_comPos(model, data)
@@ -169,17 +170,37 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     pairs = _moving_pairs(model, frames)
     geom_ids = np.unique(pairs)
     shapes = [_shape(model, data, int(geom), int(frames.of_body[model.geom_bodyid[geom]])) for geom in geom_ids]
-    margins = _margins(model)[geom_ids].tolist()
-    shapes = [_grown(shape, margin) if margin > 0.0 else shape for shape, margin in zip(shapes, margins, strict=True)]
     arrays = _arrays(frames, shapes, joint_map)
     rows = np.searchsorted(geom_ids, pairs)
-    return _geometry(frozen(geom_ids), shapes, frames, arrays, rows)
+    return _geometry(frozen(geom_ids), shapes, frames, arrays, rows, contact_margins(model, pairs))
 
 
-def _geometry(geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Any], pairs: IntArray) -> Geometry:
+def contact_margins(model: mujoco.MjModel, pairs: IntArray) -> Array:
+    """(K,) m, the distance below which MuJoCo makes a contact of each pair (K, 2) of geoms, which then press on each other.
+
+    This is the sum of the margins of both geoms, the margin of a pair that is listed, or that of the options.
+    """
+    margins = model.geom_margin[pairs].sum(axis=1)
+    listed = {
+        (min(first, second), max(first, second)): margin
+        for first, second, margin in zip(
+            model.pair_geom1.tolist(), model.pair_geom2.tolist(), model.pair_margin.tolist(), strict=True
+        )
+    }
+    if listed:
+        margins = np.array([listed.get((min(a, b), max(a, b)), m) for (a, b), m in zip(pairs.tolist(), margins, strict=True)])
+    if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
+        margins = np.full(len(pairs), model.opt.o_margin)
+    return np.maximum(margins, 0.0)
+
+
+def _geometry(
+    geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Any], pairs: IntArray, margins: Array
+) -> Geometry:
     first_geoms, second_geoms = np.ascontiguousarray(pairs.T, np.int64)
-    core = CollisionModel(**arrays, first_geoms=first_geoms, second_geoms=second_geoms)
-    return Geometry(geom_ids, shapes, frames, arrays, core, frozen(pairs))
+    margins = np.ascontiguousarray(margins, np.float64)
+    core = CollisionModel(**arrays, first_geoms=first_geoms, second_geoms=second_geoms, margins=margins)
+    return Geometry(geom_ids, shapes, frames, arrays, core, frozen(pairs), frozen(margins))
 
 
 def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dict[str, Any]:
@@ -320,25 +341,6 @@ def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) ->
     vertices = position + vertices @ R.T
     center, bound = bounding_sphere(vertices, np.zeros(len(vertices)))
     return round_shape._replace(vertices=vertices, center=center, bound=bound, edges=edges)
-
-
-def _margins(model: mujoco.MjModel) -> Array:
-    """(ngeom,) m by which each geom acts beyond its surface: a contact acts within the sum of the margins of its two geoms.
-
-    A listed pair has a margin of its own; each of its geoms has at least half of it.
-    """
-    margins = model.geom_margin.copy()
-    for geoms in (model.pair_geom1, model.pair_geom2):
-        np.maximum.at(margins, geoms, 0.5 * model.pair_margin)
-    return margins
-
-
-def _grown(shape: Shape, margin: float) -> Shape:
-    """A shape with all points up to a margin, m, from it."""
-    if shape.kind == ShapeKind.PLANE:
-        return shape._replace(position=shape.position + margin * shape.rotation[:, 2])
-    kind = ShapeKind.HULL if shape.kind == ShapeKind.BOX else shape.kind  # a box with round edges is none
-    return shape._replace(kind=kind, inflation=shape.inflation + margin, bound=shape.bound + margin)
 
 
 def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Edges]:

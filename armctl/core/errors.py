@@ -13,6 +13,7 @@ from typing import Any
 
 MAX_MESSAGE_CHARACTERS = 400
 _MAX_LISTED_CHARACTERS = 240  # of known names; of a longer list the message gives the number
+_MAX_SHOWN_PAIRS = 2
 _MAX_SHOWN_CHARACTERS = 80  # of a value in a message
 _OTHER_NAMES = {"pid": "computed-torque-observer", "osc": "operational-space"}  # what armctl calls the same thing
 
@@ -23,6 +24,13 @@ def few_names(names: Sequence[str], count: int = 4) -> str:
     if len(names) > count:
         return f"{', '.join(first)} and {len(names) - count} more"
     return " and ".join(filter(None, [", ".join(first[:-1]), *first[-1:]]))
+
+
+def pairs_in_words(pairs: Sequence[tuple[str, str]]) -> str:
+    """Some pairs of names for a message: the first few, and how many more there are."""
+    named = [f"{first:.40} with {second:.40}" for first, second in pairs[:_MAX_SHOWN_PAIRS]]
+    more = len(pairs) - len(named)
+    return ", ".join(named) + (f" and {more} more" if more > 0 else "")
 
 
 def shown(value: object) -> str:

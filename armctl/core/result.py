@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import html
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from armctl.core.errors import few_names
+from armctl.core.errors import few_names, pairs_in_words
 from armctl.core.log import Contact, Log
+
+_NOTED_M = 1e-3  # a result names a clearance that is less
 
 
 class Verdict:
@@ -17,6 +21,11 @@ class Verdict:
 
     def __bool__(self) -> bool:
         return self.ok
+
+
+def left_out_text(pairs: Sequence[tuple[str, str]]) -> str:
+    """What a proof left out, for the end of a sentence; empty if it left out nothing that a simulation keeps."""
+    return f"; not proved, since they always touch: {pairs_in_words(pairs)}" if pairs else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +41,10 @@ class MoveResult(Verdict):
         log: Every tick of it; None if nothing moved.
         unchecked_links: The links of the arm without a collision shape that they need: no contact was excluded, and a
             simulation sees none. Empty if all have one.
+        clearance: m, how much the planned motion is proved to keep from everything; infinite if nothing can touch, NaN if no
+            motion was proved.
+        left_out: Pairs of names of bodies that touch by design, and that the proof of the motion left out though a simulation
+            keeps their contact. `load` takes such contacts out of the model where it can.
     """
 
     ok: bool
@@ -41,6 +54,8 @@ class MoveResult(Verdict):
     reason: str
     log: Log | None
     unchecked_links: tuple[str, ...] = ()
+    clearance: float = math.nan
+    left_out: tuple[tuple[str, str], ...] = ()
 
     def __str__(self) -> str:
         if not self.ok:
@@ -49,6 +64,9 @@ class MoveResult(Verdict):
         touched = ", ".join(dict.fromkeys(contact.other for contact in self.contacts))
         if self.unchecked_links:
             reached += f"; contacts not checkable, no collision shape for {few_names(self.unchecked_links)}"
+        if self.clearance < _NOTED_M:
+            reached += f"; proved to keep only {1e3 * self.clearance:.2g} mm"
+        reached += left_out_text(self.left_out)
         return f"{reached}; touched {touched}" if touched else reached
 
     def _repr_html_(self) -> str:

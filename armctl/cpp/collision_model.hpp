@@ -23,7 +23,8 @@ struct MovingFrame {
 struct CollisionPair {
     size_t a = 0;
     size_t b = 0;
-    size_t common = 0;  // the last frame above both
+    size_t common = 0;    // the last frame above both
+    double margin = 0.0;  // m, of its contacts, which MuJoCo makes as soon as the shapes are so near: it counts as touching
 };
 
 // Rows where the lists of `elements` start, and behind them the `end` of the last one.
@@ -41,8 +42,8 @@ class CollisionModel {
 public:
     // From arrays for each of the m joints that move, parents before children, which are hinges or slides with an axis and an
     // anchor on it and a reference position, and move the frame of their own number + 1; for each of the G geoms and P vertices;
-    // and for the K pairs. In a pair, a plane comes first, else the geom that has fewer joints above it. The positions of all
-    // joints are `ratio` (m, n) q + `joint_offset`.
+    // and for the K pairs with the margins of their contacts. In a pair, a plane comes first, else the geom that has fewer joints
+    // above it. The positions of all joints are `ratio` (m, n) q + `joint_offset`.
     explicit CollisionModel(const Arguments& arguments)
         : ratio_(arguments.length("references"), arguments.count("n")), joint_offset_(ratio_.rows()) {
         const size_t m = ratio_.rows();
@@ -139,10 +140,11 @@ private:
         const size_t K = arguments.length("first_geoms");
         const Integers first_geoms = arguments.integers(K, "first_geoms");
         const Integers second_geoms = arguments.integers(K, "second_geoms");
+        const Vector margins = arguments.vector(K, "margins");
         for (size_t p = 0; p < K; ++p) {
             const size_t a = checked_index(first_geoms[p], geoms.size(), "first_geoms");
             const size_t b = checked_index(second_geoms[p], geoms.size(), "second_geoms");
-            pairs.push_back({a, b, common_frame(geoms[a].frame, geoms[b].frame)});
+            pairs.push_back({a, b, common_frame(geoms[a].frame, geoms[b].frame), margins[p]});
         }
     }
 

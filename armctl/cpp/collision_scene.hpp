@@ -155,11 +155,11 @@ public:
         const Geom& first = model_->geoms[model_->pairs[p].a];
         const Geom& second = model_->geoms[model_->pairs[p].b];
         if (first.kind == ShapeKind::plane) {
-            const double height = plane_witness(first, second).distance;
+            const double height = plane_witness(p).distance;
             return {height, height};
         }
         const Pose relative = frames_[second.frame].pose.seen_from(frames_[first.frame].pose);
-        const double inflation = first.inflation + second.inflation;
+        const double inflation = this->inflation(p);
         DistanceBounds bounds{-INFINITE_M, INFINITE_M};
         Simplex simplex;
         const auto is_decided = [&](Vec3 v, Vec3 support) {
@@ -184,14 +184,14 @@ public:
         const Geom& first = model_->geoms[pair.a];
         const Vec3 center = centers_[pair.b];
         const double radius = model_->geoms[pair.b].radius;
-        if (first.kind == ShapeKind::plane) { return dot(first.normal(), center) - first.offset - radius; }
+        if (first.kind == ShapeKind::plane) { return dot(first.normal(), center) - first.offset - radius - pair.margin; }
         if (first.kind == ShapeKind::box && first.frame == 0) {
             const Vec3 inside = first.axes.inverse_times(center - first.position);
             const Vec3 outside = {std::max(std::abs(inside.x) - first.size.x, 0.0), std::max(std::abs(inside.y) - first.size.y, 0.0),
                                   std::max(std::abs(inside.z) - first.size.z, 0.0)};
-            return norm(outside) - radius;
+            return norm(outside) - radius - pair.margin;
         }
-        return norm(centers_[pair.a] - center) - first.radius - radius;
+        return norm(centers_[pair.a] - center) - first.radius - radius - pair.margin;
     }
 
     // Bounds how far any point of each geom moves as the frames above it see it, while joint j moves by at most delta[j].
@@ -295,22 +295,29 @@ private:
         return dot(direction, farthest_point(model_->geoms[model_->pairs[p].a], direction) - lowest);
     }
 
-    Witness plane_witness(const Geom& plane, const Geom& other) const {
-        const Vec3 lowest = farthest_point(other, -plane.normal());
-        return {dot(plane.normal(), lowest) - plane.offset, plane.normal(), lowest};
+    // By how much the distance of a pair is less than that of its vertices: its radii and the margin of its contacts.
+    double inflation(size_t p) const {
+        const CollisionPair& pair = model_->pairs[p];
+        return model_->geoms[pair.a].inflation + model_->geoms[pair.b].inflation + pair.margin;
+    }
+
+    // Of a pair of a plane and another geom.
+    Witness plane_witness(size_t p) const {
+        const CollisionPair& pair = model_->pairs[p];
+        const Geom& plane = model_->geoms[pair.a];
+        const Vec3 lowest = farthest_point(model_->geoms[pair.b], -plane.normal());
+        return {dot(plane.normal(), lowest) - plane.offset - pair.margin, plane.normal(), lowest};
     }
 
     Witness witness(size_t p) const {
-        const Geom& first = model_->geoms[model_->pairs[p].a];
-        const Geom& second = model_->geoms[model_->pairs[p].b];
-        if (first.kind == ShapeKind::plane) { return plane_witness(first, second); }
+        if (model_->geoms[model_->pairs[p].a].kind == ShapeKind::plane) { return plane_witness(p); }
         std::optional<Witness> found = witness_apart(p, {});
         if (!found) { return witness_overlapping(p); }
-        found->distance = found->distance - first.inflation - second.inflation;
+        found->distance -= inflation(p);
         return *found;
     }
 
-    // The witness of a pair without its radii, the second geom displaced in the world; nothing where it overlaps.
+    // The witness of a pair without its radii and margin, the second geom displaced in the world; nothing where it overlaps.
     std::optional<Witness> witness_apart(size_t p, Vec3 displacement) const {
         const Pose& pose = frames_[model_->geoms[model_->pairs[p].a].frame].pose;
         Pose relative = frames_[model_->geoms[model_->pairs[p].b].frame].pose.seen_from(pose);
@@ -331,11 +338,11 @@ private:
     // the displacement s and the distance d, the depth along m is s n.m - d <= s - d.
     Witness witness_overlapping(size_t p) const {
         const Geom& first = model_->geoms[model_->pairs[p].a];
-        const double inflation = first.inflation + model_->geoms[model_->pairs[p].b].inflation;
+        const double radii = first.inflation + model_->geoms[model_->pairs[p].b].inflation;
         double depth = INFINITE_M;
         Witness best{};
         for (const Vec3 direction : model_->directions) {
-            const double along = depth_along(p, direction) - inflation;
+            const double along = depth_along(p, direction) - radii;
             if (along < depth) {
                 depth = along;
                 best.direction = direction;
@@ -355,7 +362,7 @@ private:
             depth = along;
             if (has_converged) { break; }
         }
-        best.distance = -depth - inflation;
+        best.distance = -depth - inflation(p);
         return best;
     }
 

@@ -16,12 +16,13 @@ struct MujocoModel;
 struct MujocoData;
 struct MujocoBatch;
 
-// Where mjData keeps the geoms of its contacts, in bytes.
+// Where mjData keeps its contacts, in bytes.
 struct ContactLayout {
-    size_t count = 0;   // offset of `ncon` in mjData
-    size_t array = 0;   // offset of the pointer `contact` in mjData
-    size_t stride = 0;  // size of an mjContact
-    size_t geoms = 0;   // offset of `geom` in mjContact
+    size_t count = 0;    // offset of `ncon` in mjData
+    size_t array = 0;    // offset of the pointer `contact` in mjData
+    size_t stride = 0;   // size of an mjContact
+    size_t geoms = 0;    // offset of `geom` in mjContact
+    size_t exclude = 0;  // offset of `exclude` in mjContact
 };
 
 // Where mjData counts what MuJoCo repaired: `mjWarningStat.number` of mjWARN_BADQPOS, BADQVEL, BADQACC and BADCTRL, in bytes.
@@ -59,6 +60,7 @@ struct MujocoApi {
               .array = given.count("contact_array"),
               .stride = given.count("contact_stride"),
               .geoms = given.count("contact_geoms"),
+              .exclude = given.count("contact_exclude"),
           },
           repairs{.first = given.count("repair_first"), .stride = given.count("repair_stride")} {
         set(step, given, "step");
@@ -128,10 +130,13 @@ public:
         return number_at<std::array<std::int32_t, 2>>(first_ + contact * layout_.stride, layout_.geoms);
     }
 
+    // Whether geoms touch in a contact: MuJoCo lists those that are within the gap of a geom, too, and gives them no force.
+    bool touches(size_t contact) const { return number_at<std::int32_t>(first_ + contact * layout_.stride, layout_.exclude) == 0; }
+
     // Whether one of them touches a geom.
     bool touch(std::int32_t geom) const {
         for (size_t k = 0; k < count_; ++k) {
-            if (std::ranges::count(geoms(k), geom) > 0) { return true; }
+            if (touches(k) && std::ranges::count(geoms(k), geom) > 0) { return true; }
         }
         return false;
     }

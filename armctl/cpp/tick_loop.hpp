@@ -193,6 +193,7 @@ private:
         const Contacts contacts(api_->contacts, simulation_.data);
         std::string geoms;
         for (size_t k = 0; k < contacts.count(); ++k) {
+            if (!contacts.touches(k)) { continue; }
             const std::array<std::int32_t, 2> pair = contacts.geoms(k);
             geoms.append(reinterpret_cast<const char*>(pair.data()), sizeof(pair));
         }

@@ -9,6 +9,7 @@ import numpy as np
 
 from armctl.core.errors import LinkError
 from armctl.core.log import Log
+from armctl.core.result import left_out_text
 from armctl.core.validation import Array
 from armctl.links.link import Link, Seen, check_link
 
@@ -31,6 +32,8 @@ class Rehearsal:
         tip_speed: m/s, the greatest.
         clearance: m, the smallest distance at 200 positions on the way; infinite if nothing can touch, NaN if links have no
             collision shape.
+        left_out: Pairs of names of bodies that touch by design, and that the clearance leaves out though a simulation keeps
+            their contact.
         refusal: Why nothing would be sent; empty if something would.
     """
 
@@ -42,6 +45,7 @@ class Rehearsal:
     tip_speed: float
     clearance: float
     refusal: str = ""
+    left_out: tuple[tuple[str, str], ...] = ()
 
     def __str__(self) -> str:
         if self.refusal:
@@ -52,7 +56,7 @@ class Rehearsal:
             near = "nothing can touch" if np.isinf(self.clearance) else f"clearance {1e3 * self.clearance:.1f} mm"
         return (
             f"{self.rows} rows, {self.duration:.2f} s, joints {self.speed:.3g} rad/s, {self.acceleration:.3g} rad/s^2, "
-            f"{self.jerk:.3g} rad/s^3, tip {self.tip_speed:.3g} m/s, {near}"
+            f"{self.jerk:.3g} rad/s^3, tip {self.tip_speed:.3g} m/s, {near}{left_out_text(self.left_out)}"
         )
 
 
@@ -76,6 +80,7 @@ def rehearsal_of(log: Log, checker: CollisionChecker | None) -> Rehearsal:
         tip_speed=_peak(tips),
         clearance=float(clearance),
         refusal=log.failure,
+        left_out=() if checker is None else checker.left_out,
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armctl.collision.checker import CollisionChecker
-from armctl.collision.clearance import clearance_of
+from armctl.collision.clearance import ClearanceCheck, clearance_of
 from armctl.control import controller_by_name
 from armctl.control.interface import Controller, State, controller_name
 from armctl.core import hooks
@@ -43,6 +43,7 @@ class PlannedMove:
     target: Target
     trajectory: Trajectory | None = None
     refusal: str = ""
+    proof: ClearanceCheck | None = None  # of the motion; None if it was not asked for, or there is none
 
 
 def plan_move(
@@ -57,6 +58,7 @@ def plan_move(
 
     An arc of a given angle does not end at the target that defines it: then the target is where the motion ends.
     """
+    check = None
     try:
         trajectory = planner()
         if checker is not None:
@@ -68,7 +70,7 @@ def plan_move(
         return PlannedMove(target, refusal=str(error))
     if not ends_at_target:
         target = Target.read(arm.fk(trajectory(trajectory.duration).q))
-    return PlannedMove(target, trajectory)
+    return PlannedMove(target, trajectory, proof=check)
 
 
 def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeSpace | None = None) -> PlannedMove:
@@ -89,7 +91,7 @@ def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeS
 
 def plan_free(arm: Arm, target: Target, q_start: Array, goal: Target | Array, speed: float, space: FreeSpace) -> PlannedMove:
     """A move around obstacles to a target or a configuration."""
-    return plan_move(arm, target, lambda: move_free_with(space, arm, q_start, goal, speed=speed))
+    return plan_move(arm, target, lambda: move_free_with(space, arm, q_start, goal, speed=speed), checker=space.checker)
 
 
 def read_controller(given: Controller | str, arm: Arm) -> Controller:
@@ -300,6 +302,8 @@ class ControlledArms:
             reason=reason,
             log=log,
             unchecked_links=self.arms[tip].unchecked_links,
+            clearance=np.nan if move.proof is None else move.proof.distance,
+            left_out=() if move.proof is None else move.proof.left_out,
         )
 
 

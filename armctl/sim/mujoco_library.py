@@ -53,6 +53,7 @@ def mujoco_api() -> _core.MujocoApi:
         contact_array=contacts.array,
         contact_stride=contacts.stride,
         contact_geoms=contacts.geoms,
+        contact_exclude=contacts.exclude,
         repair_first=repairs.first,
         repair_stride=repairs.stride,
     )

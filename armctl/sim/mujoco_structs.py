@@ -26,12 +26,13 @@ _C_TYPES = {
 
 
 class ContactLayout(NamedTuple):
-    """Where MjData keeps the geoms of its contacts, in bytes."""
+    """Where MjData keeps its contacts, in bytes."""
 
     size: int  # offset of `ncon` in mjData
     array: int  # offset of the pointer `contact` in mjData
     stride: int  # size of an mjContact
     geoms: int  # offset of `geom` in mjContact
+    exclude: int  # offset of `exclude` in mjContact
 
 
 class RepairLayout(NamedTuple):
@@ -66,6 +67,7 @@ def contact_layout() -> ContactLayout:
         array=data_struct.contact.offset,
         stride=ctypes.sizeof(contact_struct),
         geoms=contact_struct.geom.offset,
+        exclude=contact_struct.exclude.offset,
     )
 
 

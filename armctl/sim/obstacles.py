@@ -10,7 +10,7 @@ import numpy as np
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import collision_checker, read_pairs
 from armctl.core.validation import Array
-from armctl.mjmodel.queries import body_name
+from armctl.mjmodel.queries import acts, body_name
 from armctl.robot.arm import Arm
 
 _KEPT_CHECKERS = 4  # of the last scenes: building one takes longer than planning in it
@@ -75,7 +75,7 @@ def touched_by(model: mujoco.MjModel, data: mujoco.MjData, held: str) -> list[tu
     """What a held body touches now, as pairs of names that may touch."""
     body = model.body(held).id
     touched = set()
-    for contact in data.contact:
+    for contact in filter(acts, data.contact):
         bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
         if body in bodies:
             other = int(contact.geom[1 - bodies.index(body)])

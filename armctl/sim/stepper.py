@@ -381,7 +381,7 @@ class Stepper:
                 torque_rows[row] = self.motor_torque if motor_torque is None else motor_torque
                 if data.ncon or touching:
                     before = touching
-                    touching = data.contact.geom.tobytes()
+                    touching = data.contact.geom[data.contact.exclude == 0].tobytes()
                     if touching != before:
                         rows.contacts.append((row, touching))
                 count = row + 1

@@ -52,6 +52,7 @@ def tetrahedron_model(**changes: np.ndarray) -> _core.CollisionModel:
         "directions": np.eye(3),
         "first_geoms": np.zeros(1, np.int64),
         "second_geoms": np.ones(1, np.int64),
+        "margins": np.zeros(1),
     }
     return _core.CollisionModel(**(arrays | changes))
 

@@ -95,7 +95,15 @@ def test_the_core_keeps_the_simulation_alive_that_it_works_on(stepper: Stepper, 
 def test_a_loop_keeps_the_model_alive_that_threads_copy(stepper: Stepper):
     # Each of several threads that begin at the same time may make these functions, and only one of them is kept for later ones.
     names = ["step", "rne_post_constraint", "make_batch", "delete_batch", "apply", "error"]
-    places = ["contact_count", "contact_array", "contact_stride", "contact_geoms", "repair_first", "repair_stride"]
+    places = [
+        "contact_count",
+        "contact_array",
+        "contact_stride",
+        "contact_geoms",
+        "contact_exclude",
+        "repair_first",
+        "repair_stride",
+    ]
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     before = sys.getrefcount(model)
     loop = tick_loop(stepper, _core.MujocoApi(**dict.fromkeys(names + places, 0), empty_model=model))

@@ -10,6 +10,7 @@ from armctl.core.validation import Array
 from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
 from armctl.ik.problem import ik_chain
 from armctl.loading.scene import Scene
+from armctl.mjmodel.queries import acts
 from armctl.robot.arm import Arm
 
 _SPREAD = 0.8  # rad (m), of all joints around home
@@ -93,4 +94,4 @@ class _BallProbe:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
-        return bool((self._data.contact.geom == self._geom).any())
+        return any(self._geom in contact.geom for contact in self._data.contact if acts(contact))

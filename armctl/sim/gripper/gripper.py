@@ -11,7 +11,7 @@ import numpy as np
 from armctl.core.errors import InputError
 from armctl.core.result import Verdict
 from armctl.core.validation import instance, number
-from armctl.mjmodel.queries import body_name, is_loose
+from armctl.mjmodel.queries import acts, body_name, is_loose
 from armctl.robot.arm import Arm
 from armctl.sim.gripper.model import find_gripper_model, make_usable
 from armctl.sim.stepper import Stepper
@@ -264,6 +264,8 @@ class Gripper:
         forces: list[dict[int, float]] = [{}, {}]
         own = self.model.jaws.sides[0] | self.model.jaws.sides[1]
         for index, contact in enumerate(data.contact):
+            if not acts(contact):
+                continue
             bodies = [int(model.geom_bodyid[g]) for g in contact.geom]
             for side, on in zip(self.model.jaws.sides, forces, strict=True):
                 for one, other in (bodies, bodies[::-1]):

@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.mjmodel.couplings import dofs_of_tendon
-from armctl.mjmodel.queries import actuator_name, is_below, is_on_joint, placed, welded_behind
+from armctl.mjmodel.queries import acts, actuator_name, is_below, is_on_joint, placed, welded_behind
 from armctl.robot.arm import Arm
 from armctl.sim.gripper.jaws import Jaws, find_jaws
 from armctl.sim.gripper.mechanism import find_mechanism
@@ -127,7 +127,7 @@ def _overlapping(arm: Arm, positions: Array) -> list[int]:
     for qpos in positions:
         data.qpos[:] = qpos
         mujoco.mj_fwdPosition(model, data)
-        for contact in data.contact:
+        for contact in filter(acts, data.contact):
             bodies = model.geom_bodyid[contact.geom]
             moving = [int(g) for g, b in zip(contact.geom, bodies, strict=True) if b != last and is_below(model, int(b), last)]
             if moving and model.body_rootid[bodies[0]] == model.body_rootid[bodies[1]]:
