@@ -41,8 +41,8 @@ class CollisionChecker:
     Everything outside the arm's chain stands where `qpos` has it. A pair touches where MuJoCo makes a contact of it: within the
     margins of its geoms. Left out are contacts that no motion of the arm changes, pairs that touch at every one of many random
     configurations, neighboring links that touch at home (their geoms overlap by design), and pairs that one joint alone moves
-    and that are proved apart over its whole range. `load` takes those of neighbors out of the model, so that a simulation leaves
-    them out, too; `left_out` names those whose contact a simulation keeps.
+    and that are proved apart over its whole range. `load` takes those of neighbors out of the model, so that a simulation
+    leaves them out, too; `left_out` names those whose contact a simulation keeps.
     """
 
     def __init__(
