@@ -14,14 +14,17 @@ from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance
 from armctl.design.identified_model import IdentifiedArm
-from armctl.design.servo_fit import PER_JOINT, SETTLING_S, ServoFit
+from armctl.design.servo_fit import PER_JOINT, SETTLING_S, ServoFit, is_lower
 from armctl.design.servo_simulation import ServoParameters, ServoSimulation, set_rotors_and_friction
 from armctl.loading.catalog import locate
 from armctl.robot.arm import Arm, check_arm, with_model
 
 _BANDWIDTH = 20.0  # rad/s, where to start with a file that has no servos
 _INERTIA_SHARE = 0.05  # of a joint's inertia, where to start with a file that has no rotor inertia
-_MAX_STARTS = 3
+_MAX_STARTS = 4
+_START_EVALUATIONS = 5  # of each start, before the best go on
+_MAX_SOLVED = 2
+_SAME_DELAY_S = 0.002
 _ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _MIN_SECONDS = 3.0
 _MAX_NOISE_RATIO = 2.5  # of an error over the noise of the positions, beside:
@@ -150,14 +153,14 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
         raise InputError("judge: it has the same commands as the recording; give another motion")
     file = _of_file(arm, source)
     noise = np.maximum(_noise(recording.q), _noise(judge.q))
-    fit = _best_fit(arm, recording, file, _largest_errors(recording, noise))
+    fit, rivals = _best_fit(arm, recording, file, noise)
     if fit.drop_unseen():
         fit.solve()
     found = fit.parameters(fit.z)
     along = ServoSimulation(arm, judge.dt, bool(found.backlash.any())).positions([found, file], judge) - judge.q
     judged = np.sqrt(np.mean(along[:, round(SETTLING_S / judge.dt) :] ** 2, axis=1))
     rms = fit.rms()
-    reason = _reason(arm, judge, noise, *judged) or fit.at_bound()
+    reason = _reason(arm, judge, noise, *judged) or fit.at_bound() or _rival(fit, rivals, judge)
     return ServoEstimate(
         ok=not reason,
         reason=reason,
@@ -173,19 +176,47 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     )
 
 
-def _best_fit(arm: Arm, recording: Log, file: ServoParameters, largest: Array) -> ServoFit:
-    """The best of local fits from several starts; the first whose errors are the noise needs no other beside it."""
-    fits: list[ServoFit] = []
+def _best_fit(arm: Arm, recording: Log, file: ServoParameters, noise: Array) -> tuple[ServoFit, list[ServoFit]]:
+    """The best of local fits from several starts, and others that a judge has to reject."""
+    largest = _largest_errors(recording, noise)
+    begun: list[ServoFit] = []
     for start in ServoFit(arm, recording, file).starts()[:_MAX_STARTS]:
         fit = ServoFit(arm, recording, file)
         fit.z = start
+        fit.solve(_START_EVALUATIONS)
+        begun.append(fit)
+    begun.sort(key=ServoFit.cost)
+    fits: list[ServoFit] = []
+    rivals: list[ServoFit] = []
+    for fit in begun[:_MAX_SOLVED]:
         fit.solve()
+        without = fit.find_backlash(noise)
         fits.append(fit)
+        rivals += [] if without is None else [without]
         if (fit.rms() <= largest).all():
             break
-    best = min(fits, key=lambda each: float(np.sum(each.rms() ** 2)))
-    best.find_backlash()
-    return best
+    best = min(fits, key=ServoFit.cost)
+    return best, [fit for fit in [*fits, *begun[_MAX_SOLVED:], *rivals] if fit is not best]
+
+
+def _rival(fit: ServoFit, rivals: list[ServoFit], judge: Log) -> str:
+    """Why a fit with another delay or without a backlash cannot be told from the best; empty if the judge rejects each."""
+    residuals = fit.along(judge)
+    for rival in rivals:
+        lower = is_lower(residuals, rival.along(judge), judge.dt)
+        mine = fit.parameters(fit.z)
+        other = rival.parameters(rival.z)
+        for joint in np.flatnonzero((mine.backlash > 0.0) & (other.backlash == 0.0) & ~lower):
+            return (
+                f"{fit.arm.joint_names[joint]:.60}: the judge is predicted as well without a backlash as with one of "
+                f"{1e3 * mine.backlash[joint]:.3g} mrad; record motions with more reversals"
+            )
+        if abs(mine.delay - other.delay) > _SAME_DELAY_S and not lower.any():
+            return (
+                f"the judge is predicted as well by a delay of {1e3 * other.delay:.3g} ms as by one of "
+                f"{1e3 * mine.delay:.3g} ms; record faster motions"
+            )
+    return ""
 
 
 def _noise(q: Array) -> Array:

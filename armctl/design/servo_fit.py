@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Sequence
 from typing import Any
@@ -24,9 +25,10 @@ _MAX_BACKLASH = 10.0
 _MAX_BACKLASH_ERROR = 0.25  # in this unit: with a larger standard error a recording does not show it
 _SIGNIFICANT = 3.0  # standard errors of a backlash that is not taken for zero
 _MAX_DELAY_S = 0.25
-_START_DELAYS = (0.0, 0.015, 0.03, 0.06, 0.1)
-_START_SCALES = np.geomspace(1.0 / _RANGE, _RANGE, 9)  # of the stiffness of each joint
-_START_DAMPING_RATIOS = (0.3, 1.0, 3.0)
+_START_DELAYS = np.arange(0.0, 0.121, 0.004)
+_DIFFERENT_DELAY_S = 0.012  # between two starts
+_START_SCALES = np.geomspace(1.0 / _RANGE, _RANGE, 17)  # of the stiffness of each joint
+_START_DAMPING_RATIOS = (0.3, 0.6, 1.0, 2.0)
 # Of finite differences, in units of the fit. Rounding of friction's solver, divided by a shorter step, looks like information.
 _STEP = 0.05
 _MAX_EVALUATIONS = 25
@@ -34,6 +36,7 @@ _TOLERANCE = 1e-4
 _BLOCK_S = 0.5  # over which residuals may be correlated
 _MIN_TRAVEL_RAD = 0.02
 _MIN_GAP_GAIN = 0.1  # share of a joint's sum of squares that its backlash explains, if it is kept
+_EVALUATIONS_AT_NOISE = 3  # for the errors of a backlash that nothing calls for
 _AT_BOUND = 1e-3
 
 
@@ -95,28 +98,46 @@ class ServoFit:
         """(n,) rad, of the residuals."""
         return np.sqrt(np.mean(self.residuals(self.z) ** 2, axis=0))
 
+    def along(self, log: Log) -> Array:
+        """(T, n) rad, simulated minus measured along another log."""
+        return (self._simulation.positions([self.parameters(self.z)], log)[0] - log.q)[self._from :]
+
+    def cost(self) -> float:
+        """rad^2, the sum of squares of the residuals."""
+        return float(np.sum(self.residuals(self.z) ** 2))
+
     def starts(self) -> list[Array]:
-        """(p,) each, the best first: for each delay of a grid, each joint with the stiffness and damping that fit it best."""
+        """(p,) each, the best first, of different delays: each joint has the stiffness and damping that fit it best."""
         n = self._n
         inertia = np.diag(self.arm.mass_matrix(self.arm.limits.clamp(self.arm.home)))
         critical = 2.0 * np.sqrt(self.file.stiffness * inertia) / self.file.damping
-        starts = []
-        for delay in _START_DELAYS:
-            same = []
-            for scale, ratio in itertools.product(_START_SCALES, _START_DAMPING_RATIOS):
-                z = self.z.copy()
-                z[-1] = delay / self._log.dt
-                z[n : 2 * n] = np.log(scale)
-                z[2 * n : 3 * n] = np.log(ratio * np.sqrt(scale) * critical)
-                z = np.clip(z, self._low, self._high)
-                same.append(np.where(self.free, z, self._file_z))
-            best = (self._many(same) ** 2).sum(axis=1).argmin(axis=0)
+        same = []
+        for scale, ratio in itertools.product(_START_SCALES, _START_DAMPING_RATIOS):
+            z = self.z.copy()
+            z[n : 2 * n] = np.log(scale)
+            z[2 * n : 3 * n] = np.log(ratio * np.sqrt(scale) * critical)
+            same.append(np.where(self.free, np.clip(z, self._low, self._high), self._file_z))
+        moved = self._simulation.positions([self.parameters(z) for z in same], self._log)
+        costs = np.array([self._costs_delayed(moved, delay) for delay in _START_DELAYS])  # (D, B, n)
+        totals = costs.min(axis=1).sum(axis=1)
+        starts: list[Array] = []
+        for row in np.argsort(totals, kind="stable"):
+            delay = _START_DELAYS[row] / self._log.dt
+            if any(abs(delay - other[-1]) * self._log.dt < _DIFFERENT_DELAY_S for other in starts):
+                continue
             z = same[0].copy()
-            for joint, row in enumerate(best):
-                z[joint:-1:n] = same[row][joint:-1:n]
+            for joint, candidate in enumerate(costs[row].argmin(axis=0)):
+                z[joint:-1:n] = same[candidate][joint:-1:n]
+            z[-1] = delay
             starts.append(z)
-        costs = (self._many(starts) ** 2).sum(axis=(1, 2))
-        return [starts[i] for i in np.argsort(costs, kind="stable")]
+        return starts
+
+    def _costs_delayed(self, moved: Array, delay: float) -> Array:
+        """(B, n) sums of squares of what moves `delay` s later than simulated positions: the arm starts from a rest."""
+        whole, part = divmod(delay / self._log.dt, 1.0)
+        rows = np.arange(self._from, len(self._log)) - int(whole)
+        later = (1.0 - part) * moved[:, np.maximum(rows, 0)] + part * moved[:, np.maximum(rows - 1, 0)]
+        return ((later - self._log.q[self._from :]) ** 2).sum(axis=1)
 
     def at_bound(self) -> str:
         """The reason if a gain or a rotor inertia ended at a bound of the fit; empty if none did."""
@@ -126,7 +147,7 @@ class ServoFit:
             return f"{self.names[i]:.80} is at a bound, {_RANGE:g} times or a {_RANGE:g}th of the file's; give a nearer file"
         return ""
 
-    def solve(self) -> None:
+    def solve(self, evaluations: int = _MAX_EVALUATIONS) -> None:
         from scipy.optimize import least_squares
 
         free = self.free.copy()
@@ -145,36 +166,64 @@ class ServoFit:
             x_scale="jac",
             ftol=_TOLERANCE,
             xtol=_TOLERANCE,
-            max_nfev=_MAX_EVALUATIONS,
+            max_nfev=evaluations,
         )
         self.z = whole(found.x)
         self._J = np.zeros((len(found.fun), len(self.z)))
         self._J[:, free] = found.jac
 
-    def find_backlash(self) -> None:
-        """Adds backlash to the fit, from the best of a grid for each joint, and keeps what is significant."""
-        rigid = (self._simulation, self.z, self._J)
-        without = self.rms()
+    def find_backlash(self, noise: Array) -> ServoFit | None:
+        """Adds backlash to the fit, from the best of a grid for each joint, and keeps what is significant.
+
+        Args:
+            noise: (n,) rad, of the positions. A joint without larger errors has no backlash that could be found.
+
+        Returns:
+            The best fit without any backlash, for a judge to compare; None if no backlash is kept.
+        """
+        rigid = copy.copy(self)
+        rigid.free = self.free.copy()
         try:
             self._simulation = ServoSimulation(self.arm, self._log.dt, True)
         except (InputError, ModelError):  # no rotors can be added, as to a compiled model
-            return
+            return None
         gaps = slice(5 * self._n, 6 * self._n)
         starts = [np.where(np.arange(len(self.z)) // self._n == 5, gap, self.z) for gap in _START_BACKLASHES]
         best = (self._many(starts) ** 2).sum(axis=1).argmin(axis=0)
         self.z = starts[0]
         self.z[gaps] = np.array(_START_BACKLASHES)[best]
         self.free[gaps] = ~self._still
-        self.solve()
+        called_for = (1.0 - _MIN_GAP_GAIN) * rigid.rms() ** 2 > noise**2
+        self.solve(_MAX_EVALUATIONS if called_for.any() else _EVALUATIONS_AT_NOISE)
         self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
-        explains = self.rms() ** 2 < (1.0 - _MIN_GAP_GAIN) * without**2
-        found = explains & (self.z[gaps] > _SIGNIFICANT * self._alone[gaps])
+        found = called_for & (self.z[gaps] > _SIGNIFICANT * self._alone[gaps])
+        if found.any():  # the fit without backlash may have ended in another minimum: only the best such fit tells
+            rigid = min(rigid, self._without_backlash(), key=ServoFit.cost)
+            found &= is_lower(self.residuals(self.z), rigid.residuals(rigid.z), self._log.dt)
         self._absent[gaps] = ~found & ~self._still & (self._alone[gaps] < _MAX_BACKLASH_ERROR)
         self.free[gaps] = found
         if not found.any():
-            self._simulation, self.z, self._J = rigid
-        elif not found.all():
+            self._simulation = rigid._simulation
+            self.z = rigid.z
+            self._J = rigid._J
+            return None
+        if not found.all():
             self.solve()
+        return rigid
+
+    def _without_backlash(self) -> ServoFit:
+        """The fit without backlash that starts from this one, with links at the middle or at a side of their gaps."""
+        n = self._n
+        rigid = ServoFit(self.arm, self._log, self.file)
+        sides = [self.z.copy() for _ in range(3)]
+        for side, z in zip((-0.5, 0.0, 0.5), sides, strict=True):
+            z[4 * n : 5 * n] += side * _BACKLASH_UNIT * z[5 * n : 6 * n]
+            z[5 * n : 6 * n] = 0.0
+        best = (rigid._many(sides) ** 2).sum(axis=1).argmin(axis=0)
+        rigid.z = sides[0]
+        rigid.z[4 * n : 5 * n] = [sides[side][4 * n + joint] for joint, side in enumerate(best)]
+        rigid.solve()
+        return rigid
 
     def _limit(self) -> Array:
         """(p,) the largest standard errors of parameters that a recording shows."""
@@ -253,3 +302,12 @@ class ServoFit:
         """(B, T, n) residuals after the settling."""
         found = self._simulation.positions([self.parameters(z) for z in candidates], self._log)
         return (found - self._log.q)[:, self._from :]
+
+
+def is_lower(residuals: Array, others: Array, dt: float) -> Array:
+    """(n,) True for joints with residuals clearly below others: by a share, and by standard errors of blocks."""
+    first = np.arange(0, len(residuals), max(1, round(_BLOCK_S / dt)))
+    squares = np.add.reduceat(np.stack([residuals, others]) ** 2, first, axis=1)
+    gain = squares[1] - squares[0]
+    error = gain.std(axis=0, ddof=1) * np.sqrt(len(gain))
+    return (gain.sum(axis=0) > _SIGNIFICANT * error) & (gain.sum(axis=0) > _MIN_GAP_GAIN * squares[1].sum(axis=0))
