@@ -43,7 +43,8 @@ class ServoEstimate(IdentifiedArm):
         reason: The reason if it is not ok; empty if it is.
         arm: The arm before.
         parameters: The identified parameters.
-        errors: Their standard errors, robust to correlated residuals; they know noise, and not what the model leaves out.
+        errors: Their standard errors, robust to correlated residuals, and what the steps of the simulation change; they do not
+            know what the model leaves out.
         file: The parameters of the file, from which the fit started.
         unseen: Names of parameters, such as "wrist armature", that the motion does not show. The least visible one has the
             file's value. Others may be known relative to it: without gravity, positions show ratios of parameters only.

@@ -38,6 +38,7 @@ _MIN_TRAVEL_RAD = 0.02
 _MIN_GAP_GAIN = 0.1  # share of a joint's sum of squares that its backlash explains, if it is kept
 _EVALUATIONS_AT_NOISE = 3  # for the errors of a backlash that nothing calls for
 _AT_BOUND = 1e-3
+_FINER = 4  # times the steps of the simulation, to see what they change
 
 
 class ServoFit:
@@ -225,6 +226,14 @@ class ServoFit:
         rigid.solve()
         return rigid
 
+    def _moved_by_steps(self) -> Array:
+        """(p,) by how much parameters would move, to first order, if the simulation had no steps."""
+        finer = ServoSimulation(self.arm, self._log.dt, self._simulation.gaps, _FINER)
+        change = (finer.positions([self.parameters(self.z)], self._log)[0] - self._log.q)[self._from :] - self.residuals(self.z)
+        moved = np.zeros(len(self.z))
+        moved[self.free] = np.linalg.pinv(self._J[:, self.free]) @ change.ravel()
+        return moved * (_FINER / (_FINER - 1.0))  # errors are in proportion to the step
+
     def _limit(self) -> Array:
         """(p,) the largest standard errors of parameters that a recording shows."""
         # An e-fold change of a parameter, with all others adapted to it, must move its joint by as much as the residuals.
@@ -257,7 +266,11 @@ class ServoFit:
         return not np.array_equal(before, self.free)
 
     def standard_errors(self) -> ServoParameters:
-        errors = np.where(self.unseen | ~self.free, self._alone, self._physical(self._covariance()))
+        """Of the noise, and of the steps of the simulation: stiff servos let 2 ms look like damping and inertia."""
+        moved = self._moved_by_steps()
+        of_steps = self._physical(np.outer(moved, moved))
+        alone = np.hypot(self._alone, of_steps)
+        errors = np.where(self.unseen | ~self.free, alone, self._physical(self._covariance() + np.outer(moved, moved)))
         rows = errors[:-1].reshape(6, self._n)
         found = self.parameters(self.z)
         return ServoParameters(

@@ -46,15 +46,16 @@ class ServoParameters:
 
 
 class ServoSimulation:
-    """Rollouts of an arm; with `gaps`, motors are bodies of their own, as in a plant with backlash."""
+    """Rollouts of an arm; with `gaps`, motors are bodies of their own, as in a plant with backlash; `finer` divides its step."""
 
-    def __init__(self, arm: Arm, dt: float, gaps: bool):
+    def __init__(self, arm: Arm, dt: float, gaps: bool, finer: int = 1):
         self.arm = arm
+        self.gaps = gaps
         geared = Plant(backlash=_MIN_BACKLASH if gaps else 0.0)
         model = new_model([arm], geared)
         apply_plant(model, mujoco.MjData(model), Plant(), [arm])  # its masses and places are the arm's, not the file's
         self._train = drivetrain_of([arm], geared)
-        self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9))  # from one sample to the next
+        self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9)) * finer  # from one sample to the next
         model.opt.timestep = dt / self._steps
         # A plant has no reset: unstable candidates end in numbers that are not finite. Contacts would take most of the time.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
