@@ -244,26 +244,34 @@ class ServoFit:
         limit[-1] = 1.0
         return limit
 
-    def drop_unseen(self) -> bool:
+    def drop_unseen(self) -> None:
         """Gives parameters with large errors the file's value, the worst first, until the others are known relative to them.
 
-        True if the fit has to be solved again.
+        Errors are those of a linear model: where the recording is predicted clearly worse with these values, the fit stays.
         """
         limit = self._limit()
         before = self.free.copy()
         self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
-        self.unseen = (~self.free | (self._alone > limit)) & ~self._absent
+        unseen = (~self.free | (self._alone > limit)) & ~self._absent
         while True:
             excess = np.sqrt(np.diag(self._covariance())) / limit
             worst = int(excess.argmax())
             if excess[worst] < 1.0:
                 break
             self.free[worst] = False
-        self.unseen |= ~self.free & ~self._absent
+        self.unseen = unseen | (~self.free & ~self._absent)
         if self.unseen[: 5 * self._n].any():  # all joints show the delay: it must not make up for the file's values of others
             self.free[-1] = False
             self._file_z[-1] = self.z[-1]
-        return not np.array_equal(before, self.free)
+        if np.array_equal(before, self.free):
+            return
+        with_all = (self.z, self._J, self.residuals(self.z))
+        self.solve()
+        if is_lower(with_all[2], self.residuals(self.z), self._log.dt).any():
+            self.free = before
+            self.unseen = unseen
+            self.z = with_all[0]
+            self._J = with_all[1]
 
     def standard_errors(self) -> ServoParameters:
         """Of the noise, and of the steps of the simulation: stiff servos let 2 ms look like damping and inertia."""
