@@ -47,7 +47,8 @@ class ServoEstimate(IdentifiedArm):
             know what the model leaves out.
         file: The parameters of the file, from which the fit started.
         unseen: Names of parameters, such as "wrist armature", that the motion does not show. The least visible one has the
-            file's value, unless the recording contradicts that value. Others may be known relative to it: without gravity, positions show ratios of parameters only.
+            file's value, unless the recording contradicts it. Others may be known relative to it: without gravity, positions
+            show ratios of parameters only.
         rms: (n,) rad, of measured minus simulated positions along the recording.
         noise: (n,) rad, of the measured positions, from the step of their encoder and from what changes at every sample.
         judge_rms: (n,) rad, along the judge, which the fit did not use; NaN without a judge.
@@ -131,7 +132,7 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     Masses of links are those of the file: gravity gives the torques their scale. Where it shows too little of it, the parameter
     with the largest error keeps the file's value. Damping of a joint has the effect of its servo's, so the file's stays.
     The search starts from servos up to 100 times as stiff or soft as those of the file, each joint by itself, at delays up to
-    120 ms. It solves a further start while errors are above the noise of the positions, as another minimum may be the right one.
+    120 ms. It solves a further start while errors are above the noise of the positions: another minimum may be right.
 
     Args:
         recording: A log with commands in `q_ref` and measured positions in `q`, at least 3 s, better 30, from a rest.
@@ -141,7 +142,7 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
 
     Returns:
         The estimate. It is not ok, with a reason, if the positions of the judge are not predicted to 2.5 times their noise and,
-        beside it, 1 % of what they differ from the commands, or if a fit with another delay or no backlash predicts them as well.
+        beside it, 1 % of what they differ from the commands, or if another delay or no backlash predicts them as well.
 
     Raises:
         InputError: A log has no commands, is too short or of other joints, or the source is not that of the arm.

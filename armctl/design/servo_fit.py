@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.log import Log
-from armctl.core.validation import Array
+from armctl.core.validation import Array, BoolArray
 from armctl.design.servo_simulation import ServoParameters, ServoSimulation
 from armctl.robot.arm import Arm
 
@@ -35,7 +35,7 @@ _MAX_EVALUATIONS = 25
 _TOLERANCE = 1e-4
 _BLOCK_S = 0.5  # over which residuals may be correlated
 _MIN_TRAVEL_RAD = 0.02
-_MIN_GAP_GAIN = 0.1  # share of a joint's sum of squares that its backlash explains, if it is kept
+_MIN_GAIN = 0.1  # share of a joint's sum of squares by which a fit is clearly better
 _EVALUATIONS_AT_NOISE = 3  # for the errors of a backlash that nothing calls for
 _AT_BOUND = 1e-3
 _FINER = 4  # times the steps of the simulation, to see what they change
@@ -194,7 +194,7 @@ class ServoFit:
         self.z = starts[0]
         self.z[gaps] = np.array(_START_BACKLASHES)[best]
         self.free[gaps] = ~self._still
-        called_for = (1.0 - _MIN_GAP_GAIN) * rigid.rms() ** 2 > noise**2
+        called_for = (1.0 - _MIN_GAIN) * rigid.rms() ** 2 > noise**2
         self.solve(_MAX_EVALUATIONS if called_for.any() else _EVALUATIONS_AT_NOISE)
         self._alone = np.where(self.free, self._physical(self._covariance()), self._alone)
         found = called_for & (self.z[gaps] > _SIGNIFICANT * self._alone[gaps])
@@ -325,10 +325,10 @@ class ServoFit:
         return (found - self._log.q)[:, self._from :]
 
 
-def is_lower(residuals: Array, others: Array, dt: float) -> Array:
+def is_lower(residuals: Array, others: Array, dt: float) -> BoolArray:
     """(n,) True for joints with residuals clearly below others: by a share, and by standard errors of blocks."""
     first = np.arange(0, len(residuals), max(1, round(_BLOCK_S / dt)))
     squares = np.add.reduceat(np.stack([residuals, others]) ** 2, first, axis=1)
     gain = squares[1] - squares[0]
     error = gain.std(axis=0, ddof=1) * np.sqrt(len(gain))
-    return (gain.sum(axis=0) > _SIGNIFICANT * error) & (gain.sum(axis=0) > _MIN_GAP_GAIN * squares[1].sum(axis=0))
+    return (gain.sum(axis=0) > _SIGNIFICANT * error) & (gain.sum(axis=0) > _MIN_GAIN * squares[1].sum(axis=0))

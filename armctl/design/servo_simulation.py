@@ -46,7 +46,7 @@ class ServoParameters:
 
 
 class ServoSimulation:
-    """Rollouts of an arm; with `gaps`, motors are bodies of their own, as in a plant with backlash; `finer` divides its step."""
+    """Rollouts of an arm; with `gaps`, motors are bodies of their own, as in plants with backlash; `finer` divides steps."""
 
     def __init__(self, arm: Arm, dt: float, gaps: bool, finer: int = 1):
         self.arm = arm
