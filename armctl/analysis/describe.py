@@ -6,18 +6,21 @@ from typing import Any
 import numpy as np
 
 from armctl.analysis.static_payload import doubt_about_torque_limits, static_payload, static_payloads
+from armctl.control.computed_torque import ComputedTorque
 from armctl.control.margin_exceptions import margin_exceptions
 from armctl.control.observer_gains import max_unknown_payload
 from armctl.core import units
 from armctl.core.json_values import json_value
 from armctl.core.log import Log
 from armctl.core.tables import Table
+from armctl.design.linearization import linearize
 from armctl.loading.chain import SerialChain
 from armctl.robot.arm import Arm
 
 
 def facts(arm: Arm) -> dict[str, Any]:
     """An arm as plain data for JSON; what is infinite becomes None."""
+    law = ComputedTorque(arm)
     data = {
         "name": arm.name,
         "joint_names": list(arm.joint_names),
@@ -33,6 +36,8 @@ def facts(arm: Arm) -> dict[str, Any]:
         "static_payload_kg": static_payload(static_payloads(arm)),
         "unknown_payload_kg": max_unknown_payload(arm),
         "margin_exceptions": list(margin_exceptions(arm)),
+        "bandwidth_rad_per_s": law.bandwidth,
+        "slowest_pole_per_s": linearize(arm, law, arm.limits.clamp(arm.home)).slowest_pole,
     }
     return json_value(data)
 
@@ -67,6 +72,10 @@ def describe(arm: Arm) -> str:
     lines.append(
         "unknown payload within 5 cm of the tip, default gains of computed-torque-observer and -learning: up to "
         f"{unknown:.3g} kg keeps the delay margin, up to {2 * unknown:.3g} kg is stable"
+    )
+    lines.append(
+        f"default computed-torque at home: slowest pole {data['slowest_pole_per_s']:.3g} 1/s, bandwidth "
+        f"{data['bandwidth_rad_per_s']:.3g} rad/s"
     )
     return "\n".join(lines + [f"default gains, {exception}" for exception in data["margin_exceptions"]])
 

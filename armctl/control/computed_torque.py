@@ -33,8 +33,10 @@ class ComputedTorque(ArmController):
     position corrects both, so a velocity that is differenced from encoder positions causes little torque noise. The velocity is
     measured at the first tick only.
 
-    The textbook form is the formula, to rounding. It compensates damping at the measured velocity, which is late: on an arm
-    with large damping and small inertia it may oscillate. It has a tracking error of (k_d / k_p) (dt / 2) a_ref.
+    The textbook form is the formula, to rounding. Its price is margins: it compensates damping at the measured velocity, which
+    is late. On an arm with large damping and small inertia it may oscillate or be unstable, and its delay margin may be below
+    the one that the default form is designed for; `armctl.margins` computes those of both. It has a tracking error of
+    (k_d / k_p) (dt / 2) a_ref.
     """
 
     bandwidth: Gain[float] = scalar_gain()

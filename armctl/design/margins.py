@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import degrees, isfinite
+from math import degrees, isfinite, nan
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,6 +53,7 @@ class Margins(Verdict):
         damping: The smallest damping ratio of `Loop.vibrations`; infinite if there are none, 0 of an unstable loop.
         frequency: rad/s, of that vibration; NaN if there is none.
         slowest_pole: 1/s, the lowest rate with which an error decays: that of the slowest closed-loop pole.
+        bandwidth: rad/s, that of the controller, for comparison; NaN if it has none.
         chatter: N m (N), the largest torque noise that the plant's sensors cause, over all joints: see `Loop.chatter`.
         loops: How many loops were examined, with the two worst ones of the searches.
         reason: The reason if it is not ok; empty if it is.
@@ -71,6 +72,7 @@ class Margins(Verdict):
     damping: WorstMargin
     frequency: float
     slowest_pole: WorstMargin
+    bandwidth: float
     chatter: WorstMargin
     loops: int
     reason: str
@@ -83,8 +85,14 @@ class Margins(Verdict):
         return (
             f"{self.controller} on {self.robot}, worst of {self.loops} loops: delay margin {1e3 * self.delay.value:.3g} ms, "
             f"gain margin {self.gain_in_words}, phase margin {degrees(self.phase.value):.3g} deg, "
-            f"Ms {self.peak_sensitivity.value:.3g}{damping}{chatter}"
+            f"Ms {self.peak_sensitivity.value:.3g}, slowest pole {self.pole_in_words}{damping}{chatter}"
         )
+
+    @property
+    def pole_in_words(self) -> str:
+        """The rate of the slowest pole, beside the bandwidth if the controller has one."""
+        pole = f"{self.slowest_pole.value:.3g} 1/s"
+        return f"{pole} (bandwidth {self.bandwidth:.3g} rad/s)" if isfinite(self.bandwidth) else pole
 
     @property
     def gain_in_words(self) -> str:
@@ -102,6 +110,7 @@ class Margins(Verdict):
             "dt": self.dt,
             "loops": self.loops,
             "frequency": self.frequency if isfinite(self.frequency) else None,
+            "bandwidth": self.bandwidth if isfinite(self.bandwidth) else None,
         }
         for name in (
             "delay",
@@ -228,10 +237,17 @@ def _worst(arm: Arm, law: Controller, loops: list[Loop], found: list[LoopMargins
         damping=_worst_of(loops, ratios),
         frequency=least[int(np.argmin(ratios))].frequency,
         slowest_pole=_worst_of(loops, [loop.slowest_pole for loop in loops]),
+        bandwidth=_bandwidth(law),
         chatter=_worst_of(loops, [float(np.sqrt(np.mean(loop.chatter() ** 2))) for loop in loops], np.argmax),
         loops=len(loops),
         reason=_reason(loops, found, least),
     )
+
+
+def _bandwidth(law: Controller) -> float:
+    """rad/s, the attribute `bandwidth` of a controller; NaN if it has none that is a positive number."""
+    value = getattr(law, "bandwidth", None)
+    return float(value) if isinstance(value, (int, float)) and value > 0.0 else nan
 
 
 def _reason(loops: list[Loop], found: list[LoopMargins], least: list[Mode]) -> str:
