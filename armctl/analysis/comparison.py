@@ -26,7 +26,7 @@ from armctl.sim.plant import WITH_ENCODER, Plant
 from armctl.sim.simulate import rows_as_runs, run_many
 
 DEFAULT_POSES = 5
-DEFAULT_DWELL_S = 2.0  # a law without integral action that decays as exp(-4 t) has settled then
+DEFAULT_DWELL_S = 10.0  # a law whose errors decay as exp(-t) rests then
 
 
 def compare(
@@ -48,8 +48,9 @@ def compare(
         workers: Number of threads, as for `simulate_many`.
         poses: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins` with its search
             for the worst ones; 0 for neither.
-        dwell: s, how long each controller holds the end of the motion: the final errors are those after it, and the settling
-            time counts from its beginning.
+        dwell: s, how long each controller holds the end of the motion at most: until the arm rests. The final errors are those
+            after it, and the settling time counts from its beginning. "Not yet at rest" is the verdict on an arm that still
+            moves then, away from its goal.
 
     Returns:
         A list with one report per pair, plant by plant. A run that failed after its first tick has a report, too.
@@ -75,7 +76,7 @@ def compare(
     reports = Comparison()
     dwell = number("dwell", dwell, 0.0)
     threads = integer("workers", workers, 1)
-    found = run_many(arm, runs, lambda _, log: Report.from_log(log), dwell=dwell, threads=threads)
+    found = run_many(arm, runs, lambda _, log: Report.from_log(log), dwell=dwell, until_rest=True, threads=threads)
     for pair, report in zip(pairs, found, strict=True):
         labelled = replace(report, controller=pair.controller_label, plant=pair.plant_label)
         reports.append(_with_margins(arm, pair, labelled, poses) if poses else labelled)

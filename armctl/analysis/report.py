@@ -21,6 +21,7 @@ from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
 from armctl.design.loop import MIN_DAMPING_RATIO
+from armctl.sim.stepper import AT_REST_SPEED
 
 _MAX_CONTACTS_SHOWN = 3
 _MIN_JOINT_ERROR_SHOWN = 1e-15
@@ -304,8 +305,15 @@ def _verdict(log: Log, final: float, reason: str) -> str:
     if log.failure:
         return f"failed: {reason}"
     if reason:
-        return f"not reached: {reason}"
+        return f"{'not yet at rest' if _is_moving(log) else 'not reached'}: {reason}"
     return f"reached: the tip ended {length_text(final)} from its goal after {len(log) * log.dt:.2f} s"
+
+
+def _is_moving(log: Log) -> bool:
+    """Whether a joint moves in the last ticks after the motion of the reference."""
+    first = int(np.searchsorted(log.t, log.motion_duration + 0.5 * log.dt))
+    last = log.v[max(first, len(log) - _LAST_TICKS) :]
+    return bool(np.abs(last).max(initial=0.0) >= AT_REST_SPEED)
 
 
 def _settling_time(log: Log, inside: BoolArray) -> float:

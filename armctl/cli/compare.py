@@ -42,7 +42,10 @@ def add(commands: common.Commands) -> None:
         "--poses", type=int, default=5, help="configurations at which margins are computed, 0 for none (default %(default)s)"
     )
     parser.add_argument(
-        "--dwell", metavar="S", default="2", help="seconds for which the end of the motion is held (default %(default)s)"
+        "--dwell",
+        metavar="S",
+        default="10",
+        help="seconds for which the end is held at most, until the arm rests (default %(default)s)",
     )
     parser.add_argument(
         "--delay-margin",

@@ -32,6 +32,7 @@ from armctl.sim.wrench_sensor import WRENCH_SIZE
 
 _SETTLE_TIMEOUT_S = 1.0  # for the arm to come to rest after a motion
 SETTLE_CHECK_INTERVAL_S = 0.02
+_SHORTEST_REST_S = 0.5  # in which the joints are still at every check: they rest
 NO_TARGET = np.full(7, np.nan)
 _MAX_CONTACTS_IN_REASON = 3
 
@@ -128,16 +129,32 @@ class ControlledArms:
         """The pose of a tip now, T_world_tip."""
         return self.drive.tip_pose(self.arms[tip])
 
-    def run(self, trajectories: Mapping[str, Trajectory], dwell: float) -> dict[str, Log]:
-        """Runs trajectories that start now, and holds their ends for `dwell` seconds."""
+    def run(self, trajectories: Mapping[str, Trajectory], dwell: float, until_rest: bool = False) -> dict[str, Log]:
+        """Runs trajectories that start now, and holds their ends for `dwell` seconds, or only until they rest."""
         for tip, trajectory in trajectories.items():
             check_motion(trajectory, self.arms[tip].joint_names)
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
-        ticks = ticks_for(max(durations.values(), default=0.0) + dwell, self.drive.dt)
+        moving = max(durations.values(), default=0.0)
+        ticks = ticks_for(moving + (min(dwell, _SHORTEST_REST_S) if until_rest else dwell), self.drive.dt)
         reference = self._reference(trajectories, ticks)
         with self.recording(durations) as recorder:
             self._run(trajectories, reference, recorder)
+            if until_rest and dwell > _SHORTEST_REST_S:
+                self._wait_for_rest([self._slices[tip] for tip in trajectories], dwell - _SHORTEST_REST_S, recorder)
         return self._logs
+
+    def _wait_for_rest(self, joints: Sequence[slice], timeout: float, recorder: Recorder) -> None:
+        """Holds the arms until their joints are still at all checks of a while; a swing is still at its turning points."""
+        drive = self.drive
+        hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
+        still_since = drive.data.time
+        deadline = drive.data.time + timeout
+        while not drive.failure and drive.data.time < deadline:
+            if not all(drive.is_still(each) for each in joints):
+                still_since = drive.data.time
+            elif drive.data.time - still_since >= _SHORTEST_REST_S:
+                return
+            drive.run(self._controller, hold, recorder)
 
     def _run(self, trajectories: Mapping[str, Trajectory], reference: TickReference, recorder: Recorder) -> None:
         """Runs motions on the ticks."""

@@ -45,6 +45,18 @@ def simulate(
         UnknownNameError: There is no such controller.
         SimulationError: The controller failed; `error.log` contains the ticks until then.
     """
+    return _simulated(arm, controller, trajectory, plant, dwell)
+
+
+def _simulated(
+    arm: Arm,
+    controller: Controller | str,
+    trajectory: Trajectory,
+    plant: Plant | None,
+    dwell: float,
+    until_rest: bool = False,
+) -> Log:
+    """As `simulate`; with `until_rest`, the end of the motion is held no longer than until the arm rests."""
     check_arm(arm)
     law = read_controller(controller, arm)
     plant = read_plant(plant)
@@ -61,7 +73,7 @@ def simulate(
     try:
         arms = SimulatedArms([arm], {arm.tip: law}, stepper)
         arms.reset(start.q, start.v)
-        return arms.run({arm.tip: trajectory}, dwell)[arm.tip]
+        return arms.run({arm.tip: trajectory}, dwell, until_rest)[arm.tip]
     finally:
         idle.append(stepper)
         while len(idle) > _IDLE_PER_ARM:
@@ -137,9 +149,17 @@ def rows_as_runs(arm: Arm, rows: Any) -> list[Run]:
 
 
 def run_many(
-    arm: Arm, runs: Sequence[Run], evaluate: Callable[[Run, Log], _Result], *, dwell: float = 0.25, threads: int | None = None
+    arm: Arm,
+    runs: Sequence[Run],
+    evaluate: Callable[[Run, Log], _Result],
+    *,
+    dwell: float = 0.25,
+    until_rest: bool = False,
+    threads: int | None = None,
 ) -> Iterator[_Result]:
     """Simulates runs on threads, and gives what `evaluate` makes of each log, in the order of the runs.
+
+    The end of each motion is held for `dwell` seconds, with `until_rest` no longer than until the arm rests.
 
     It is called in the thread of the run; a log of which nothing is kept is freed at once.
     """
@@ -147,7 +167,7 @@ def run_many(
 
     def result(run: Run) -> _Result:
         law = run.controller.fresh() if has_compiled_law(run.controller, arm.n) else run.controller
-        return evaluate(run, _simulated(arm, run._replace(controller=law), dwell))
+        return evaluate(run, _log_of(arm, run._replace(controller=law), dwell, until_rest))
 
     compiled = [has_compiled_law(run.controller, arm.n) for run in runs]
     workers = min(threads, max(1, sum(compiled)))
@@ -167,10 +187,10 @@ def run_many(
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _simulated(arm: Arm, run: Run, dwell: float) -> Log:
+def _log_of(arm: Arm, run: Run, dwell: float, until_rest: bool) -> Log:
     """The log of a run, also if its controller failed after the first tick."""
     try:
-        return simulate(arm, run.controller, run.trajectory, run.plant, dwell)
+        return _simulated(arm, run.controller, run.trajectory, run.plant, dwell, until_rest)
     except SimulationError as error:
         if error.log is None or not len(error.log):
             raise

@@ -64,14 +64,14 @@ class SimulatedArms(ControlledArms):
             self._logs = self.logs
             self._steps = None
 
-    def run(self, trajectories: Mapping[str, Trajectory], dwell: float) -> dict[str, Log]:
+    def run(self, trajectories: Mapping[str, Trajectory], dwell: float, until_rest: bool = False) -> dict[str, Log]:
         """As every run. InputError for a planned way that begins elsewhere, LimitError for one far outside the limits."""
         for tip, trajectory in trajectories.items():
             check_motion(trajectory, self.arms[tip].joint_names)
             self._check_start(tip, trajectory)
             if isinstance(trajectory, JointTrajectory):
                 self._check_end(tip, trajectory)
-        return super().run(trajectories, dwell)
+        return super().run(trajectories, dwell, until_rest)
 
     def _check_start(self, tip: str, trajectory: Trajectory) -> None:
         """Compares the start of a motion with where the arm is, and where its last reference ended."""
