@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -11,12 +13,15 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, flag
 from armctl.motion.checks import limits_from, planning_arm, start_state
 from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, solve_pieces
-from armctl.motion.torque_limits import within_torque
+from armctl.motion.torque_limits import check_torque, slowed_relative_to, within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE, piece_extremes
 from armctl.motion.trajectory.piecewise import Pieces, standing
 from armctl.robot.arm import Arm
 
+# Shares of the limits of acceleration and jerk that are tried where a motor would saturate in a motion that starts moving: it
+# cannot be slowed down on its path, since its first speed is given.
+_GENTLER = (0.5, 0.25)
 _MAX_OFF_LINE = 1e-6  # of the smallest limit of speed or acceleration
 
 
@@ -27,7 +32,8 @@ def move_j(
 
     A straight motion has one path parameter for all joints, with the tightest of their limits along the direction; ruckig
     (Berscheid and Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) times it.
-    If a motor would saturate, the motion is slowed down, and `slowed` contains the factor.
+    If a motor would saturate, the motion is slowed down, and `slowed` contains the factor. A motion that starts moving takes a
+    half or a quarter of the limits of acceleration and jerk then.
 
     Args:
         q_start: (n,) rad, inside the limits; or a setpoint, if it starts while the arm moves, along the line if it is straight.
@@ -40,16 +46,30 @@ def move_j(
     Raises:
         InputError: A wrong length, a number that is not finite, or a setpoint that leads off the line.
         LimitError: A start or goal outside the position limits, or a start so fast that the motion would leave them.
-        PlanError: A motor cannot hold the arm at some point of the path.
+        PlanError: A motor cannot hold the arm at some point of the path, or saturates in every motion from a moving start.
     """
     planning = planning_arm(arm, speed)
     start = start_state(planning, q_start)
     goal = arm.checked("q_goal", q_goal)
-    pieces = _line(planning, start, goal) if flag("straight", straight) else _each_joint(planning.limits, start, goal)
-    motion = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
-    is_moving = start.v.any() or start.a.any()
-    if is_moving and not (check := motion.check_limits(limits_from(arm.limits, start))).ok:
+    is_straight = flag("straight", straight)
+
+    def planned(share: float) -> JointTrajectory:
+        gentle = replace(planning.limits, a_max=share * planning.limits.a_max, j_max=share * planning.limits.j_max)
+        pieces = _line(gentle, start, goal) if is_straight else _each_joint(gentle, start, goal)
+        return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
+
+    motion = planned(1.0)
+    if not (start.v.any() or start.a.any()):
+        return within_torque(arm, motion)
+    limits = limits_from(arm.limits, start)
+    if not (check := motion.check_limits(limits)).ok:
         raise LimitError(f"q_start: {check.violations[0]}; start slower, or stop before")
+    if check_torque(arm, motion).ok:
+        return motion
+    for share in _GENTLER:
+        gentler = planned(share)
+        if gentler.check_limits(limits).ok and check_torque(arm, gentler).ok:
+            return slowed_relative_to(arm, gentler, motion)
     return within_torque(arm, motion)
 
 
@@ -58,9 +78,8 @@ def _each_joint(limits: Limits, start: Setpoint, goal: Array) -> Pieces:
     return solve_pieces(ProfileSolver.of(limits), JointState(start.q, start.v, start.a), at_rest(goal))
 
 
-def _line(arm: Arm, start: Setpoint, goal: Array) -> Pieces:
+def _line(limits: Limits, start: Setpoint, goal: Array) -> Pieces:
     """The pieces of q(t) = start + s(t) (goal - start) / length, with length the longest way of a joint."""
-    limits = arm.limits
     way = goal - start.q
     length = float(np.abs(way).max())
     if length == 0.0 and not start.v.any() and not start.a.any():

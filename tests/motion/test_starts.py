@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import ruckig
@@ -189,3 +190,37 @@ def test_a_start_that_leaves_the_range_while_it_brakes_is_refused(light):
             else:
                 with pytest.raises(armctl.LimitError, match="q_start"):
                     begin(near, start)
+
+
+@pytest.mark.parametrize("straight", [True, False])
+@pytest.mark.parametrize("speed", [0.2, 0.6, 1.0])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_moving_start_takes_gentler_limits_where_a_motor_would_saturate(light, share, speed, straight):
+    """Motors that give a share of what the fastest motion takes; the torques are MuJoCo's inverse dynamics."""
+    arm = with_bounds(light, np.full(N, 2.0), np.full(N, 10.0), np.full(N, 200.0))
+    q = np.array([0.2, 0.5, -0.3])
+    way = np.array([1.0, -0.6, 0.4])
+    start = armctl.Setpoint(q, speed * way, np.zeros(N))
+    fastest = armctl.move_j(arm, start, q + way, straight=straight)
+    times = np.linspace(0.0, fastest.duration, 2000)
+    held = torques(arm, fastest(times[0])._replace(v=np.zeros(N), a=np.zeros(N)))
+    peak = np.max([np.abs(torques(arm, fastest(t))) for t in times], axis=0)
+    still = np.max([np.abs(arm.gravity(row)) for row in fastest.sample(times).q], axis=0)
+    weak = arm.with_limits(replace(arm.limits, tau_max=1.2 * still + share * (peak - still) + 0.02 * np.abs(held)))
+    motion = armctl.move_j(weak, start, q + way, straight=straight)
+    assert_joins(motion, start, q + way)
+    assert not violation(motion, arm.limits)
+    for t in np.linspace(0.0, motion.duration, 2000):
+        assert (np.abs(torques(weak, motion(t))) <= weak.limits.tau_max * (1 + 1e-3)).all()
+    assert motion.duration > fastest.duration
+    assert motion.slowed is not None
+    assert motion.slowed.factor == pytest.approx(motion.duration / fastest.duration)
+
+
+def torques(arm: armctl.Arm, setpoint: armctl.Setpoint) -> np.ndarray:
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = setpoint.q
+    data.qvel[:] = setpoint.v
+    data.qacc[:] = setpoint.a
+    mujoco.mj_inverse(arm.model, data)
+    return data.qfrc_inverse
