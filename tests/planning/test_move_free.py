@@ -74,6 +74,29 @@ def test_it_starts_while_the_arm_moves_and_goes_around_the_wall(arm):
     np.testing.assert_allclose(motion(motion.duration).q, GOAL, atol=1e-12)
 
 
+@pytest.mark.parametrize("share", [1.0001, 1.05, 1.3])
+def test_a_start_beyond_a_speed_limit_is_braked_into_it_on_the_way_around_the_wall(arm, share):
+    """A joint is beyond its limit no longer than a lone joint that brakes with the limits of acceleration and jerk."""
+    v = np.zeros(arm.n)
+    v[4] = share * arm.limits.v_max[4]
+    motion = armctl.move_free(arm, armctl.Setpoint(START, v, np.zeros(arm.n)), GOAL)
+    assert armctl.check_clearance(arm, motion)
+    np.testing.assert_allclose(motion(0.0).v, v, atol=1e-9)
+    np.testing.assert_allclose(motion(motion.duration).q, GOAL, atol=1e-9)
+    np.testing.assert_allclose(motion(motion.duration).v, 0.0, atol=1e-9)
+    excess = v[4] - arm.limits.v_max[4]
+    a_max = arm.limits.a_max[4]
+    j_max = arm.limits.j_max[4]
+    alone = max(np.sqrt(2 * excess / j_max), excess / a_max + 0.5 * a_max / j_max)
+    times = np.arange(0.0, motion.duration, 1e-4)
+    moved = motion.sample(times)
+    beyond = (np.abs(moved.v) > arm.limits.v_max * (1 + 1e-9)).any(axis=1)
+    assert times[beyond].max(initial=0.0) <= alone + 2e-4
+    assert (np.abs(moved.a) <= arm.limits.a_max * (1 + 1e-6)).all()
+    for q in moved.q[::20]:
+        assert not any(contact.dist < 0.0 for contact in placed(arm, q).contact)
+
+
 def test_a_start_towards_the_wall_from_which_the_arm_cannot_stop_is_refused(arm):
     into = armctl.move_j(arm, START, GOAL)
     times = np.linspace(0.0, into.duration, 200)
