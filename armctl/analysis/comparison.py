@@ -49,8 +49,8 @@ def compare(
         poses: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins` with its search
             for the worst ones; 0 for neither.
         dwell: s, how long each controller holds the end of the motion at most: until the arm rests. The final errors are those
-            after it, and the settling time counts from its beginning. "Not yet at rest" is the verdict on an arm that still
-            moves then, away from its goal.
+            after it, and the settling time counts from its beginning. The verdict on an arm that still moves then, away from
+            its goal, is "not reached, not yet at rest".
 
     Returns:
         A list with one report per pair, plant by plant. A run that failed after its first tick has a report, too.

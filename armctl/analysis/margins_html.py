@@ -22,7 +22,7 @@ _COLUMNS: dict[str, Callable[[Margins], str]] = {
     "phase margin, deg": lambda m: _text(degrees(m.phase.value), ".0f"),
     "Ms": lambda m: _text(m.peak_sensitivity.value, ".2f"),
     "slowest pole, 1/s": lambda m: _text(m.slowest_pole.value, ".3g"),
-    "bandwidth, rad/s": lambda m: _text(m.bandwidth, ".3g"),
+    "bandwidth, rad/s": lambda m: _text(m.bandwidth, ".3g") if isfinite(m.bandwidth) else "-",
     "least damping": lambda m: _text(m.damping.value, ".2g"),
     "worst delay at q": lambda m: " ".join(f"{x:.2f}" for x in m.delay.q),
     "note": lambda m: m.reason,

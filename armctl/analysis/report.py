@@ -305,7 +305,7 @@ def _verdict(log: Log, final: float, reason: str) -> str:
     if log.failure:
         return f"failed: {reason}"
     if reason:
-        return f"{'not yet at rest' if _is_moving(log) else 'not reached'}: {reason}"
+        return f"not reached{', not yet at rest' if _is_moving(log) else ''}: {reason}"
     return f"reached: the tip ended {length_text(final)} from its goal after {len(log) * log.dt:.2f} s"
 
 

@@ -113,7 +113,7 @@ def test_a_comparison_waits_for_slow_laws_and_says_when_they_settled(load):
     assert long.ok
     assert long.final_tip_error_m < 0.01 * short.final_tip_error_m
     assert long.settling_time_s > 0.5
-    assert short.verdict.startswith("not yet at rest")
+    assert short.verdict.startswith("not reached, not yet at rest")
     assert default.ok
     assert np.abs(default.log.v[-1]).max() < 1e-3
     assert motion.duration + 0.5 < default.duration_s < motion.duration + 5.0
@@ -133,6 +133,6 @@ def test_a_comparison_waits_no_longer_than_until_the_arm_rests_or_the_dwell_ends
     )
     assert fast.duration_s < motion.duration + 1.5
     assert slow.duration_s == pytest.approx(motion.duration + 6.0, abs=0.03)  # decays with 4 / (6 + 2) 1/s
-    assert slow.verdict.startswith("not yet at rest")
+    assert slow.verdict.startswith("not reached, not yet at rest")
     assert at_rest.duration_s < motion.duration + 6.0
-    assert at_rest.verdict.startswith("not reached")
+    assert at_rest.verdict.startswith("not reached: ")
