@@ -289,9 +289,8 @@ def _of_file(arm: Arm, source: str | os.PathLike[str] | None) -> ServoParameters
         if int(model.actuator_trntype[actuator]) in _ON_JOINTS and joint in arm.joint_names:
             gear = model.actuator_gear[actuator, 0]
             gains[:, arm.joint_names.index(joint)] -= model.actuator_biasprm[actuator, 1:3] * gear**2
-    defaults = (inertia * _BANDWIDTH**2, 2.0 * inertia * _BANDWIDTH)
-    stiffness, damping = (
-        np.where((gains[0] > 0.0) & (own > 0.0), own, default) for own, default in zip(gains, defaults, strict=True)
-    )
+    is_servo = gains[0] > 0.0
+    stiffness = np.where(is_servo, gains[0], inertia * _BANDWIDTH**2)
+    damping = np.where(is_servo & (gains[1] > 0.0), gains[1], 2.0 * inertia * _BANDWIDTH)
     friction = arm.model.dof_frictionloss[arm.dof_adr].copy()
     return ServoParameters(armature, stiffness, damping, friction, np.zeros(arm.n), np.zeros(arm.n), 0.0)
