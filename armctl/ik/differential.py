@@ -118,6 +118,7 @@ class DifferentialIk:
         self.tip.posture_share = min(1.0, self._posture_gain * dt)
         self.tip.low = low
         self.tip.high = high
+        self.tip.longest = self.arm.limits.v_max * dt
         joint_map = self.arm.joint_map
         self.configuration.data.qpos[joint_map.qpos_adr] = joint_map.positions(start)
         if self._needs_kinematics:

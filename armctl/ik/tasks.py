@@ -1,5 +1,9 @@
 """The tasks and limits that armctl adds to mink's quadratic program. This imports mink: load it late."""
 
+from __future__ import annotations
+
+from typing import NamedTuple
+
 import mink
 import numpy as np
 from mink.tasks import BaseTask
@@ -10,9 +14,11 @@ from armctl.core.validation import Array
 from armctl.ik.problem import ik_chain
 from armctl.robot.arm import Arm
 
-# The weight of the rotation is divided by 1 + this times the position error in reaches: at a target out of reach the position
-# comes first.
+# The weight of the rotation is divided by 1 + this times the position error in reaches, as far as the target is out of reach:
+# there the position comes first.
 POSITION_PRIORITY = 10.0
+REACHING_DAMPING = 3e-4  # squared, of the step that tells whether a target is in reach
+MIN_ROOM = 0.01  # share of a joint's longest move: one with less is at its bound
 MIN_DAMPING = 1e-5
 ERROR_DAMPING = 0.05  # per reach of error
 SINGULAR_VALUE = 0.05  # below it damping rises ...
@@ -30,6 +36,17 @@ MAX_MOVE = 10.0  # rad (m), of a joint in one step
 CLEARANCE_SAMPLES = 16  # configurations in which it is looked how far apart pairs can be
 
 
+class _ErrorModel(NamedTuple):
+    """A convex quadratic model of half the squared error, in the units of the joints."""
+
+    size: float  # root of the squared error, reaches
+    descent: Array  # (n,) its negative gradient
+    jacobian: Array  # (k, n) of the error
+    curvature: Array  # (n,) eigenvalues of its Hessian
+    V: Array  # (n, n) eigenvectors
+    damping: float
+
+
 class TipTask(BaseTask):
     """Brings the tip to a target and, as far as that leaves freedom, the joints to a posture.
 
@@ -40,6 +57,10 @@ class TipTask(BaseTask):
     "Inverse kinematic solutions with singularity robustness for robot manipulator control", J. Dyn. Sys., Meas., Control
     108(3), 1986), and it damps towards a step in the null space that leads to the posture, so that neither disturbs the
     other. Lengths are in reaches.
+
+    Where speed limits cut off single joints, the others go on and turn the tip. So a step that is too fast is shortened as a
+    whole, as far as the linearized step reaches the target, and is then that of Gauss and Newton without a priority of the
+    position, which reduces all components of the error alike.
 
     On a Panda 5 s after a point 4 m out of reach was set, joints still move at 2.6 rad/s with mink's FrameTask, and at 0 here.
     """
@@ -57,6 +78,7 @@ class TipTask(BaseTask):
         self._gain: Array | None = None  # (n,) reaches gained per unit of a joint's step, at a target far away
         self.low = np.full(arm.n, -np.inf)  # bounds of the step
         self.high = np.full(arm.n, np.inf)
+        self.longest = np.full(arm.n, np.inf)  # (n,) what the speed limits permit each joint to move in the step
         self.constraint = Constraint.POSITION
         self.target = np.zeros(12)
         self.posture_share = 0.0  # of the way to the posture in one step
@@ -68,42 +90,88 @@ class TipTask(BaseTask):
     def compute_qp_objective(self, configuration: mink.Configuration) -> mink.Objective:
         """The Hessian H (nv, nv) and gradient c (nv,) of the task's part of the program."""
         q = configuration.data.qpos[self._arm.qpos_adr]
+        model = self._modelled(q, 1.0)
+        is_partial = model.size > FAR_ERROR_REACHES or self._kept_share(model) < 1
+        if is_partial and self.constraint != Constraint.POSITION:
+            missed = _missed_share(model, self.low, self.high)
+            model = self._modelled(q, missed)
+            model = model._replace(descent=(missed + (1 - missed) * self._kept_share(model)) * model.descent)
         unit = self._chain.unit
-        hessian = self._hessian
-        descent = self._gradient
-        # Half the squared error: its root, Hessian, negative gradient, and the Jacobian of the error.
-        size = self._squared_error.linearize(
-            self.target, self.constraint, POSITION_PRIORITY, self._chain.to_units(q), hessian, descent, self._jacobian
-        )
-        jacobian = self._jacobian[:3] if self.constraint == Constraint.POSITION else self._jacobian
-        if self._chain.has_slides:
-            hessian = hessian / np.outer(unit, unit)
-            descent = descent / unit
-            jacobian = jacobian / unit
-        eigenvalues, V = np.linalg.eigh(hessian)
-        curvature = np.abs(eigenvalues)
-        hessian = (V * curvature) @ V.T
-        redundant = len(jacobian) < len(q)
-        gram = jacobian @ jacobian.T if len(jacobian) <= len(q) else jacobian.T @ jacobian
-        smallest = np.linalg.eigvalsh(gram)[0]
-        damping = (
-            MIN_DAMPING
-            + min(ERROR_DAMPING * size, SINGULAR_DAMPING)
-            + SINGULAR_DAMPING * max(0.0, 1 - smallest / SINGULAR_VALUE**2)
-        )
-        share = self.posture_share * max(0.0, 1 - size / FAR_ERROR_REACHES)
-        if share > 0 and redundant:
-            flatness = np.maximum(0.0, 1 - curvature / FLAT_CURVATURE) ** 2
+        descent = model.descent
+        share = self.posture_share * max(0.0, 1 - model.size / FAR_ERROR_REACHES)
+        if share > 0 and len(model.jacobian) < len(q):
+            flatness = np.maximum(0.0, 1 - model.curvature / FLAT_CURVATURE) ** 2
             desired = share * (self._posture - q) / unit
-            step = unit * null_step(self._jacobian[: len(jacobian)], desired, self.low / unit, self.high / unit)
-            descent = descent + damping * (V * flatness) @ (step @ V)
-        self._gain = descent / size if size > FAR_ERROR_REACHES else None
+            step = unit * null_step(model.jacobian * unit, desired, self.low / unit, self.high / unit)
+            descent = descent + model.damping * (model.V * flatness) @ (step @ model.V)
+        self._gain = descent / model.size if model.size > FAR_ERROR_REACHES else None
         H = np.zeros((configuration.nv, configuration.nv))
         c = np.zeros(configuration.nv)
-        H[self._block] = hessian
-        H[self._arm.dof_adr, self._arm.dof_adr] += damping
+        H[self._block] = (model.V * model.curvature) @ model.V.T
+        H[self._arm.dof_adr, self._arm.dof_adr] += model.damping
         c[self._arm.dof_adr] = -descent
         return mink.Objective(H, c)
+
+    def _modelled(self, q: Array, missed: float) -> _ErrorModel:
+        """The model of the squared error at q (n,) if a step to the target leaves that share of it."""
+        unit = self._chain.unit
+        J = self._jacobian if self.constraint != Constraint.POSITION else self._jacobian[:3]
+        # The root of the squared error, the Hessian and negative gradient of half of it, and the Jacobian of the error.
+        size = self._squared_error.linearize(
+            self.target,
+            self.constraint,
+            missed * POSITION_PRIORITY,
+            self._chain.to_units(q),
+            self._hessian,
+            self._gradient,
+            self._jacobian,
+        )
+        hessian = self._hessian
+        if missed < 1:
+            linear = J.T @ J
+            hessian = linear + missed * (hessian - linear)
+        descent = self._gradient.copy()
+        if self._chain.has_slides:
+            hessian = hessian / np.outer(unit, unit)
+            descent /= unit
+            J = J / unit
+        eigenvalues, V = np.linalg.eigh(hessian)
+        smallest = np.linalg.eigvalsh(J @ J.T if len(J) <= len(q) else J.T @ J)[0]
+        damping = (
+            MIN_DAMPING
+            + missed * min(ERROR_DAMPING * size, SINGULAR_DAMPING)
+            + SINGULAR_DAMPING * max(0.0, 1 - smallest / SINGULAR_VALUE**2)
+        )
+        return _ErrorModel(size, descent, J, np.abs(eigenvalues), V, damping)
+
+    def _kept_share(self, model: _ErrorModel) -> float:
+        """The share of the model's step that the speed limits permit all joints, at most 1."""
+        step = model.V @ ((model.descent @ model.V) / (model.curvature + model.damping))
+        return min(1.0, float((self.longest / np.maximum(np.abs(step), MIN_STEP)).min()))
+
+
+def _missed_share(model: _ErrorModel, low: Array, high: Array) -> float:
+    """The share in [0, 1] of the squared error that no linearized step of the joints reduces.
+
+    Joints at their bounds (n,) take no part in a direction that is closed to them. The step is damped, so that the share
+    rises steadily near a singularity.
+    """
+    J = model.jacobian
+    free = np.arange(len(model.descent))
+    step = np.zeros_like(model.descent)
+    least = MIN_ROOM * np.maximum(high, -low)
+    while len(free):
+        gram = J[:, free].T @ J[:, free]
+        gram.flat[:: len(free) + 1] += REACHING_DAMPING
+        part = np.linalg.solve(gram, model.descent[free])
+        is_open = np.where(part > 0, high[free], -low[free]) >= least[free]
+        if is_open.all():
+            step[free] = part
+            break
+        free = free[is_open]
+    moved = J @ step
+    left = model.size**2 - 2 * model.descent @ step + moved @ moved
+    return min(1.0, max(0.0, float(left)) / model.size**2)
 
 
 def null_step(J: Array, desired: Array, low: Array, high: Array) -> Array:
