@@ -55,15 +55,16 @@ def compared(table: re.Match[str]) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "names", nargs="*", metavar="NAME", help="an example, franky_sim, info or README; all of them if none is named"
+        "names", nargs="*", metavar="NAME", help="an example, franky_sim, info or README; all that are here if none is named"
     )
     names = parser.parse_args().names
 
     for example in sorted((ROOT / "examples").glob("*.py")):
-        if names and example.stem not in names:
+        output = HERE / f"{example.stem}.txt"
+        if example.stem not in names and (names or not output.is_file()):
             continue
         try:
-            (HERE / f"{example.stem}.txt").write_text(printed(example), encoding="utf-8")
+            output.write_text(printed(example), encoding="utf-8")
         except ModuleNotFoundError as error:
             print(f"{example.stem}: the old output stays: {error}", file=sys.stderr)
     if not names or "franky_sim" in names:

@@ -5,20 +5,34 @@ import re
 import runpy
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import mujoco_menagerie
 import pytest
 from arms import MISSING
+from printed_outputs import difference
 
 import armctl
 
-EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.py"))
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # JAX and PyTorch start threads, after which other tests of the process could not fork.
 APART = [path for path in EXAMPLES if re.search("jax|stable_baselines3", path.read_text(encoding="utf-8"))]
 LONG_EXAMPLES = {"91_ppo_learns_to_reach": 100}  # a third is the adapter to stable-baselines3
 # Packages that armctl does not declare, for they are large: examples say so, and stop.
 NOT_INSTALLED = ("pip install mujoco-mjx", "pip install stable-baselines3")
+
+
+def assert_printed(example: Path, printed: str) -> None:
+    """What an example prints is what the pages show of it; no page shows the output of all of them."""
+    output = ROOT / "docs" / "outputs" / f"{example.stem}.txt"
+    assert printed
+    if output.is_file():
+        changed = difference(output.read_text(encoding="utf-8"), printed)
+        assert not changed, f"{changed}\n`make outputs` writes docs/outputs again"
+
+
 every_example = pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 
 
@@ -36,7 +50,8 @@ def test_an_example_is_short_and_begins_with_a_sentence(example: Path):
 def test_an_example_runs(example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """In this process, because to import everything again takes longer than most examples."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", [str(example), str(tmp_path)])
+    monkeypatch.setattr(sys, "argv", [str(example)])
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     try:
         runpy.run_path(str(example), run_name="__main__")
     except armctl.ModelError as error:
@@ -45,12 +60,12 @@ def test_an_example_runs(example: Path, tmp_path: Path, monkeypatch: pytest.Monk
         pytest.skip(f"{str(error).split(':')[0]}: {MISSING}")
     except mujoco_menagerie.DownloadError:
         pytest.skip(f"a robot of Menagerie: {MISSING}")
-    assert capsys.readouterr().out
+    assert_printed(example, capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("example", APART, ids=lambda path: path.stem)
 def test_an_example_with_another_framework_runs(example: Path, tmp_path: Path):
-    done = subprocess.run([sys.executable, example, tmp_path], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     if done.returncode != 0 and MISSING in done.stderr:
         pytest.skip(f"{done.stderr.split('ModelError: ')[-1].split(':')[0]}: {MISSING}")
     if done.returncode != 0 and done.stderr.rstrip().endswith(NOT_INSTALLED):
@@ -58,7 +73,7 @@ def test_an_example_with_another_framework_runs(example: Path, tmp_path: Path):
     if done.returncode != 0 and "mujoco_menagerie._errors.DownloadError" in done.stderr:
         pytest.skip(f"a robot of Menagerie: {MISSING}")
     assert done.returncode == 0, done.stderr
-    assert done.stdout
+    assert_printed(example, done.stdout)
 
 
 def test_there_are_examples():
