@@ -1,7 +1,9 @@
 """What an arm touches, and how far away it is: at a configuration, and proved over a whole motion."""
 
+import copy
 import threading
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -73,6 +75,12 @@ class CollisionChecker:
         self._set(self.geometry.with_pairs(~by_design))
         self._set(self.geometry.with_pairs(~self._proved_by_one_joint()))
         self.not_convex = self._not_convex_geoms()  # names of height fields and other geoms that no proof covers
+
+    def with_clearances(self, clearances: Array) -> Self:
+        """A checker of the same pairs that counts each as touching where it is not farther apart than its clearance (K,), m."""
+        checker = copy.copy(self)
+        checker._set(self.geometry.with_margins(self.geometry.margins + clearances))
+        return checker
 
     def proof(self, keep: KeptAxis | None = None) -> ClearanceProof:
         """The proofs of this thread, with an axis that must keep its direction."""

@@ -103,6 +103,10 @@ class Geometry:
         """The same geometry with the pairs that `keep` (K,) marks."""
         return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs[keep], self.margins[keep])
 
+    def with_margins(self, margins: Array) -> Geometry:
+        """The same geometry with other margins (K,), m."""
+        return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs, frozen(margins))
+
     def joints_between(self, pair: int) -> list[int]:
         """The joints that move one geom of a pair relative to the other: rows of the joint map."""
         first = self.frames.above(self.shapes[self.pairs[pair, 0]].frame)

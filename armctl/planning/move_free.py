@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import reduce
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -71,6 +71,30 @@ class FreeSpace(NamedTuple):
     def motion_hit(self, motion: PiecewiseTrajectory) -> Hit | None:
         """Where a motion is not known to keep it; None if it is proved."""
         return self.checker.motion_hit(motion.knots, motion.coefficients, self.clearance, self.keep)
+
+
+def spaces_between(space: FreeSpace, ends: Sequence[Array]) -> Iterator[tuple[FreeSpace, FreeSpace]]:
+    """The spaces of a path and of the smooth motion along it, between ends that may be nearer to something than the clearance.
+
+    In the first ones, only those pairs come nearer that are so at an end, which leaves half of their distance there; in the
+    last ones all pairs may.
+    """
+    checker = space.checker
+    distance = min(checker.nearest(q)[1] for q in ends)
+    least = min(space.clearance, 0.5 * distance)
+    least_of_motion = max(0.5 * least, min(_MIN_CLEARANCE_M, 0.5 * distance))
+    if least < space.clearance:
+        clearances = np.full(len(checker.geometry.pairs), space.clearance)
+        for q in ends:
+            near = checker.near(q, np.zeros(len(q)), 1.0, np.full(len(clearances), 2.0 * space.clearance))
+            clearances[near.pairs] = np.minimum(clearances[near.pairs], 0.5 * near.distances)
+        clearances = np.maximum(clearances, least)
+        of_motion = np.maximum(0.5 * clearances, least_of_motion)
+        yield (
+            space._replace(checker=checker.with_clearances(clearances - least), clearance=least),
+            space._replace(checker=checker.with_clearances(of_motion - least_of_motion), clearance=least_of_motion),
+        )
+    yield space._replace(clearance=least), space._replace(clearance=least_of_motion)
 
 
 class FreePath(NamedTuple):
@@ -178,8 +202,8 @@ def move_free(
             can, and turns to the way around the obstacles meanwhile.
         goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which one is reached. For
             an arm of three joints three numbers are a configuration; `Target.read(point)` is a point.
-        clearance: m, of the path; the smooth motion keeps half of it. It is less if the start or the goal is nearer to
-            something.
+        clearance: m, of the path; the smooth motion keeps half of it. Two bodies that are nearer at the start or the goal may
+            come as near during the motion, all bodies only if there is no other way.
         allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.
         holding: A body, or several, that the tip carries from where they are at the start.
         keep: "x", "y" or "z": the axis of the tip that keeps the direction it has at the start, as for a glass. This is proved,
@@ -224,26 +248,28 @@ def move_free_with(
     checker = space.checker
     checker.require_provable()
     rng = np.random.default_rng(integer("seed", seed, 0))
-    begin_distance = start_distance(checker, start)
-    goals, goal_distance = _goals(space, arm, start, goal, rng)
-    end_distance = min(begin_distance, goal_distance)
-    clearance = min(space.clearance, 0.5 * end_distance)
-    motion_clearance = max(0.5 * clearance, min(_MIN_CLEARANCE_M, 0.5 * end_distance))
-    motion_space = space._replace(clearance=motion_clearance)
-    for configuration in goals:
-        if not motion_space.line_is_free(start, configuration):
+    require_free_start(checker, start)
+    goals, freest = _goals(space, arm, start, goal, rng)
+    refusal = ""
+    for path_space, motion_space in spaces_between(space, [start, freest]):
+        for configuration in goals:
+            if not motion_space.line_is_free(start, configuration):
+                continue
+            motion = move_j(arm, start, configuration)
+            if motion_space.motion_hit(motion) is None:
+                return motion
+        found = find_path(path_space, start, goals, arm.limits, rng)
+        if found is None:
+            refusal = (
+                f"no collision-free path found after {MAX_SAMPLES} samples with a clearance of "
+                f"{1e3 * path_space.clearance:.2g} mm; another seed, a smaller clearance or a point on the way may help"
+            )
             continue
-        motion = move_j(arm, start, configuration)
-        if motion_space.motion_hit(motion) is None:
-            return motion
-    path_space = space._replace(clearance=clearance)
-    found = find_path(path_space, start, goals, arm.limits, rng)
-    if found is None:
-        raise PlanError(
-            f"no collision-free path found after {MAX_SAMPLES} samples with a clearance of {1e3 * clearance:.2g} mm; "
-            "another seed, a smaller clearance or a point on the way may help"
-        )
-    return _timed(motion_space, arm, shorten(path_space, found.points, rng))
+        timed = _timed(motion_space, arm, shorten(path_space, found.points, rng))
+        if timed is not None:
+            return timed
+        refusal = "the path is free, but no motion along it could be proved; try another seed or a smaller clearance"
+    raise PlanError(refusal)
 
 
 def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: str | Iterable[str] | None) -> CollisionChecker:
@@ -266,12 +292,11 @@ def _body(arm: Arm, name: str) -> int:
     return body
 
 
-def start_distance(checker: CollisionChecker, start: Array) -> float:
-    """m to the nearest pair at the start. Raises PlanError if something touches there."""
+def require_free_start(checker: CollisionChecker, start: Array) -> None:
+    """Raises PlanError if something touches at the start."""
     pair, distance = checker.nearest(start)
     if distance <= 0.0:
         raise PlanError(f"start: {overlap_in_words(checker, start, pair)}; move it apart or allow the contact")
-    return distance
 
 
 def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
@@ -281,8 +306,8 @@ def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
     return f"{second} is {1e3 * depth:.1f} mm inside {first}"
 
 
-def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator) -> tuple[Array, float]:
-    """The free configurations of a goal, nearest to the start first, and the distance of the freest. Raises PlanError."""
+def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator) -> tuple[Array, Array]:
+    """The free configurations of a goal, nearest to the start first, and the freest of them. Raises PlanError."""
     checker = space.checker
     keep = space.keep
     found: list[Array] = []
@@ -307,7 +332,7 @@ def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.ran
     if not found:
         raise PlanError(refusals[0])
     order = np.argsort([np.linalg.norm(q - start) for q in found], kind="stable")
-    return np.array(found)[order], max(distances)
+    return np.array(found)[order], found[int(np.argmax(distances))]
 
 
 def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
@@ -372,8 +397,11 @@ def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(axis, keep.direction)), axis @ keep.direction))
 
 
-def _timed(space: FreeSpace, arm: Arm, points: Array) -> JointTrajectory:
-    """The fastest smooth motion along a free path that is proved free, within the torques; at worst it stops at each point."""
+def _timed(space: FreeSpace, arm: Arm, points: Array) -> JointTrajectory | None:
+    """The fastest smooth motion along a free path that is proved free, within the torques; at worst it stops at each point.
+
+    None if even that one is not proved.
+    """
     motion = flowing_motion(space, arm, points)
     if motion is not None:
         slowed = within_torque(arm, motion)
@@ -381,9 +409,7 @@ def _timed(space: FreeSpace, arm: Arm, points: Array) -> JointTrajectory:
             return slowed
     lines = [move_j(arm, a, b) for a, b in pairwise(points)]
     stopping = reduce(JointTrajectory.then, lines)
-    if space.motion_hit(stopping) is None:
-        return stopping
-    raise PlanError("the path is free, but no motion along it could be proved; try another seed or a smaller clearance")
+    return stopping if space.motion_hit(stopping) is None else None
 
 
 def flowing_motion(space: FreeSpace, arm: MovingJoints, points: Array) -> JointTrajectory | None:

@@ -18,14 +18,14 @@ from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import restarted
 from armctl.planning.move_free import (
-    CLEARANCE_M,
     MAX_SAMPLES,
     FreeSpace,
     find_path,
     flowing_motion,
     overlap_in_words,
+    require_free_start,
     shorten,
-    start_distance,
+    spaces_between,
 )
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
@@ -80,31 +80,31 @@ def plan_together(
     rng = np.random.default_rng(0)
     group = ArmGroup.of(list(arms.values()), speed)
     start = np.concatenate([starts[tip] for tip in arms])
-    begin_distance = start_distance(checker, start)
-    goals, goal_distance = _goals(checker, arms, starts, solutions)
-    clearance = min(CLEARANCE_M, 0.5 * begin_distance, 0.5 * goal_distance)
+    require_free_start(checker, start)
+    goals, freest = _goals(checker, arms, starts, solutions)
     ends = np.cumsum([arm.n for arm in arms.values()]).tolist()
     columns = {tip: slice(end - arm.n, end) for (tip, arm), end in zip(arms.items(), ends, strict=True)}
-    for goal in goals:
-        motions = {tip: move_j(arms[tip], starts[tip], goal[columns[tip]], speed=speed) for tip in solutions}
-        knots, coefficients = combined(motions, columns, start)
-        if checker.motion_hit(knots, coefficients, 0.5 * clearance) is None:
-            return motions
-    space = FreeSpace(checker, clearance)
-    found = find_path(space, start, goals, group.limits, rng)
-    if found is None:
-        raise PlanError(
-            f"no collision-free path of the arms together found after {MAX_SAMPLES} samples; move one after the other"
-        )
-    motion = flowing_motion(space._replace(clearance=0.5 * clearance), group, shorten(space, found.points, rng))
-    if motion is None:
-        raise PlanError("the path of the arms is free, but no motion along it could be proved; move one after the other")
-    motions = {}
-    for tip in solutions:
-        arm = arms[tip]
-        coefficients = np.ascontiguousarray(motion.coefficients[:, :, columns[tip]])
-        motions[tip] = JointTrajectory(motion.knots, coefficients, arm.joint_names, arm.limits, units=arm.units)
-    return _within_torques(motions, arms)
+    straight = [{tip: move_j(arms[tip], starts[tip], goal[columns[tip]], speed=speed) for tip in solutions} for goal in goals]
+    refusal = ""
+    for path_space, motion_space in spaces_between(FreeSpace(checker), [start, freest]):
+        for motions in straight:
+            if motion_space.checker.motion_hit(*combined(motions, columns, start), motion_space.clearance) is None:
+                return motions
+        found = find_path(path_space, start, goals, group.limits, rng)
+        if found is None:
+            refusal = f"no collision-free path of the arms together found after {MAX_SAMPLES} samples; move one after the other"
+            continue
+        motion = flowing_motion(motion_space, group, shorten(path_space, found.points, rng))
+        if motion is not None:
+            return _within_torques({tip: _part(motion, arms[tip], columns[tip]) for tip in solutions}, arms)
+        refusal = "the path of the arms is free, but no motion along it could be proved; move one after the other"
+    raise PlanError(refusal)
+
+
+def _part(motion: JointTrajectory, arm: Arm, columns: slice) -> JointTrajectory:
+    """The motion of one arm of several."""
+    coefficients = np.ascontiguousarray(motion.coefficients[:, :, columns])
+    return JointTrajectory(motion.knots, coefficients, arm.joint_names, arm.limits, units=arm.units)
 
 
 def combined(motions: Mapping[str, JointTrajectory], columns: Mapping[str, slice], start: Array) -> tuple[Array, Array]:
@@ -124,8 +124,8 @@ def combined(motions: Mapping[str, JointTrajectory], columns: Mapping[str, slice
 
 def _goals(
     checker: CollisionChecker, arms: Mapping[str, Arm], starts: Mapping[str, Array], solutions: Mapping[str, Sequence[Array]]
-) -> tuple[Array, float]:
-    """(g, N) combinations of the arms' solutions that touch nothing, the nearest first, and the distance of the freest."""
+) -> tuple[Array, Array]:
+    """(g, N) combinations of the arms' solutions that touch nothing, the nearest first, and the freest of them."""
     choices = [solutions.get(tip, [starts[tip]]) for tip in arms]
     start = np.concatenate([starts[tip] for tip in arms])
     candidates = [np.concatenate(parts) for parts in islice(product(*choices), _MAX_COMBINATIONS)]
@@ -143,7 +143,7 @@ def _goals(
         pair, _ = checker.nearest(candidates[0])
         words = overlap_in_words(checker, candidates[0], pair)
         raise PlanError(f"the goals cannot be reached together without contact: {words}")
-    return np.array(free), max(distances)
+    return np.array(free), free[int(np.argmax(distances))]
 
 
 def _within_torques(motions: dict[str, JointTrajectory], arms: Mapping[str, Arm]) -> dict[str, JointTrajectory]:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from collidable import arm_among, placed
@@ -11,7 +12,7 @@ from collidable import arm_among, placed
 import armctl
 from armctl.collision.checkers import collision_checker
 from armctl.core.target import Target
-from armctl.planning.move_free import configurations_for
+from armctl.planning.move_free import CLEARANCE_M, configurations_for
 
 WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
 START = np.array([-0.8, 1.0, 0.4, 0.0, 0.3, 0.0])
@@ -117,6 +118,34 @@ def test_an_end_that_almost_touches_is_reached_and_left_around_the_wall(arm, tmp
     assert collision_checker(near).nearest(GOAL)[1] == pytest.approx(gap, abs=1e-6)
     assert_free(near, armctl.move_free(near, START, GOAL))
     assert_free(near, armctl.move_free(near, GOAL, START))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("gap", [3e-4, 2e-5])
+def test_an_end_that_almost_touches_something_lets_the_arm_come_near_to_nothing_else(arm, tmp_path, gap, seed):
+    """The distance to the wall is that of MuJoCo alone."""
+    checker = collision_checker(arm)
+    tip = arm.fk(START).position
+    near = f'<geom name="post" type="sphere" size="0.01" pos="{tip[0]} {tip[1]} {{z}}"/>'
+    # The post stands below the tip, so near that the gap is left.
+    low, high = 0.0, tip[2]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        beside = arm_among(tmp_path, WALL + near.format(z=middle))
+        if collision_checker(beside).nearest(START)[1] > gap:
+            low = middle
+        else:
+            high = middle
+    beside = arm_among(tmp_path, WALL + near.format(z=low))
+    assert 0.5 * gap < collision_checker(beside).nearest(START)[1] < min(2 * gap, checker.nearest(START)[1])
+    motion = armctl.move_free(beside, START, GOAL, seed=seed)
+    assert_free(beside, motion)
+    wall = beside.model.geom("wall").id
+    moving = np.flatnonzero((beside.model.geom_bodyid > 0) & (beside.model.geom_contype > 0)).tolist()
+    for q in motion.sample(np.arange(0.0, motion.duration, 2e-3)).q:
+        data = placed(beside, q)
+        for geom in moving:
+            assert mujoco.mj_geomDistance(beside.model, data, geom, wall, 0.05, None) > 0.5 * CLEARANCE_M
 
 
 def test_a_straight_move_that_is_free_is_taken(arm):
