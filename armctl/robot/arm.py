@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import html
+import math
 import threading
 import warnings
 from collections.abc import Callable
@@ -31,6 +32,7 @@ from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
+_TWO_TURNS = 4.0 * math.pi  # rad (m)
 _ROUNDING = 1e-9  # relative, of a torque limit that was divided by a gear and multiplied by it
 
 
@@ -225,9 +227,9 @@ class Arm:
         return f"{self.joint_names[i]}: {value:g} {unit} is outside [{low:.3f}, {high:.3f}] {unit}"
 
     def fk(self, q: ArrayLike) -> Pose:
-        """Forward kinematics: T_world_tip. It warns about positions so far outside the limits that they may be degrees."""
+        """Forward kinematics: T_world_tip. It warns about positions of more than two turns that may be degrees."""
         given = vector("q", q, self.n)
-        if not ((given >= self.limits.q_min) & (given <= self.limits.q_max)).all():
+        if (np.abs(given) > _TWO_TURNS).any():
             try:
                 self.check_units("q", given)
             except LimitError as error:
