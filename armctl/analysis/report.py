@@ -21,7 +21,7 @@ from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
 from armctl.design.loop import MIN_DAMPING_RATIO
-from armctl.sim.stepper import AT_REST_SPEED
+from armctl.sim.stepper import AT_REST_SPEED, RESTING_S
 
 _MAX_CONTACTS_SHOWN = 3
 _MIN_JOINT_ERROR_SHOWN = 1e-15
@@ -310,10 +310,10 @@ def _verdict(log: Log, final: float, reason: str) -> str:
 
 
 def _is_moving(log: Log) -> bool:
-    """Whether a joint moves in the last ticks after the motion of the reference."""
+    """Whether a joint still moves at the end, after the motion of the reference."""
     first = int(np.searchsorted(log.t, log.motion_duration + 0.5 * log.dt))
-    last = log.v[max(first, len(log) - _LAST_TICKS) :]
-    return bool(np.abs(last).max(initial=0.0) >= AT_REST_SPEED)
+    last = log.q[max(first, len(log) - round(RESTING_S / log.dt)) :]
+    return len(last) > 0 and bool(np.ptp(last, axis=0).max() >= AT_REST_SPEED * RESTING_S)
 
 
 def _settling_time(log: Log, inside: BoolArray) -> float:

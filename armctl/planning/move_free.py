@@ -72,6 +72,12 @@ class FreeSpace(NamedTuple):
         """Where a motion is not known to keep it; None if it is proved."""
         return self.checker.motion_hit(motion.knots, motion.coefficients, self.clearance, self.keep)
 
+    def least_distance(self, motion: PiecewiseTrajectory) -> float:
+        """m, that a motion which touches nothing is proved to keep; infinite if nothing can touch."""
+        if not len(self.checker.geometry.pairs):
+            return math.inf
+        return self.checker.closest_approach(motion.knots, motion.coefficients, 0.0).bound
+
 
 def spaces_between(space: FreeSpace, ends: Sequence[Array]) -> Iterator[tuple[FreeSpace, FreeSpace]]:
     """The spaces of a path and of the smooth motion along it, between ends that may be nearer to something than the clearance.

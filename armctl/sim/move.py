@@ -1,14 +1,16 @@
 """ControlledArms: plan, run, settle and report. The one implementation of a move, for one arm and for several."""
 
+import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from armctl.collision.checker import CollisionChecker
-from armctl.collision.clearance import ClearanceCheck, clearance_of
+from armctl.collision.clearance import clearance_of
 from armctl.control import controller_by_name
 from armctl.control.interface import Controller, State, controller_name
 from armctl.core import hooks
@@ -27,12 +29,11 @@ from armctl.planning.move_free import FreeSpace, move_free_with
 from armctl.robot.arm import Arm
 from armctl.sim.drive import Drive, hold_reference
 from armctl.sim.recorder import Recorder, RunInfo, ticks_for
-from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
+from armctl.sim.stepper import AT_REST_SPEED, RESTING_S, ControllerFailure, Stepper, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
 
 _SETTLE_TIMEOUT_S = 1.0  # for the arm to come to rest after a motion
 SETTLE_CHECK_INTERVAL_S = 0.02
-_SHORTEST_REST_S = 0.5  # in which the joints are still at every check: they rest
 NO_TARGET = np.full(7, np.nan)
 _MAX_CONTACTS_IN_REASON = 3
 
@@ -44,7 +45,8 @@ class PlannedMove:
     target: Target
     trajectory: Trajectory | None = None
     refusal: str = ""
-    proof: ClearanceCheck | None = None  # of the motion; None if it was not asked for, or there is none
+    clearance: float = math.nan  # m, that the motion is proved to keep; NaN if there is no proof
+    left_out: tuple[tuple[str, str], ...] = ()  # bodies that touch by design, which the proof leaves out
 
 
 def plan_move(
@@ -59,19 +61,20 @@ def plan_move(
 
     An arc of a given angle does not end at the target that defines it: then the target is where the motion ends.
     """
-    check = None
+    move = PlannedMove(target)
     try:
         trajectory = planner()
         if checker is not None:
             checker.require_provable()
             check = clearance_of(checker, trajectory, 0.0)
             if not check.ok:
-                return PlannedMove(target, refusal=check.reason)
+                return replace(move, refusal=check.reason)
+            move = replace(move, clearance=check.distance, left_out=check.left_out)
     except (PlanError, ModelError) as error:
-        return PlannedMove(target, refusal=str(error))
+        return replace(move, refusal=str(error))
     if not ends_at_target:
         target = Target.read(arm.fk(trajectory(trajectory.duration).q))
-    return PlannedMove(target, trajectory, proof=check)
+    return replace(move, target=target, trajectory=trajectory)
 
 
 def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeSpace | None = None) -> PlannedMove:
@@ -92,7 +95,11 @@ def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeS
 
 def plan_free(arm: Arm, target: Target, q_start: Array, goal: Target | Array, speed: float, space: FreeSpace) -> PlannedMove:
     """A move around obstacles to a target or a configuration."""
-    return plan_move(arm, target, lambda: move_free_with(space, arm, q_start, goal, speed=speed), checker=space.checker)
+    try:
+        motion = move_free_with(space, arm, q_start, goal, speed=speed)
+    except (PlanError, ModelError) as error:
+        return PlannedMove(target, refusal=str(error))
+    return PlannedMove(target, motion, clearance=space.least_distance(motion), left_out=space.checker.left_out)
 
 
 def read_controller(given: Controller | str, arm: Arm) -> Controller:
@@ -135,24 +142,25 @@ class ControlledArms:
             check_motion(trajectory, self.arms[tip].joint_names)
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         moving = max(durations.values(), default=0.0)
-        ticks = ticks_for(moving + (min(dwell, _SHORTEST_REST_S) if until_rest else dwell), self.drive.dt)
+        held = min(dwell, SETTLE_CHECK_INTERVAL_S) if until_rest else dwell
+        ticks = ticks_for(moving + held, self.drive.dt)
         reference = self._reference(trajectories, ticks)
         with self.recording(durations) as recorder:
             self._run(trajectories, reference, recorder)
-            if until_rest and dwell > _SHORTEST_REST_S:
-                self._wait_for_rest([self._slices[tip] for tip in trajectories], dwell - _SHORTEST_REST_S, recorder)
+            if until_rest:
+                self._wait_for_rest([self._slices[tip] for tip in trajectories], dwell - held, recorder)
         return self._logs
 
     def _wait_for_rest(self, joints: Sequence[slice], timeout: float, recorder: Recorder) -> None:
-        """Holds the arms until their joints are still at all checks of a while; a swing is still at its turning points."""
+        """Holds the arms until their joints have stayed where they are for a while; a swing is still at its turning points."""
         drive = self.drive
         hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
-        still_since = drive.data.time
+        passed: deque[Array] = deque(maxlen=1 + round(RESTING_S / SETTLE_CHECK_INTERVAL_S))
         deadline = drive.data.time + timeout
         while not drive.failure and drive.data.time < deadline:
-            if not all(drive.is_still(each) for each in joints):
-                still_since = drive.data.time
-            elif drive.data.time - still_since >= _SHORTEST_REST_S:
+            passed.append(drive.state.q)
+            moved = np.ptp(np.array(passed), axis=0)
+            if len(passed) == passed.maxlen and all((moved[each] < AT_REST_SPEED * RESTING_S).all() for each in joints):
                 return
             drive.run(self._controller, hold, recorder)
 
@@ -319,8 +327,8 @@ class ControlledArms:
             reason=reason,
             log=log,
             unchecked_links=self.arms[tip].unchecked_links,
-            clearance=np.nan if move.proof is None else move.proof.distance,
-            left_out=() if move.proof is None else move.proof.left_out,
+            clearance=move.clearance,
+            left_out=move.left_out,
         )
 
 

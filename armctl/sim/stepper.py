@@ -30,6 +30,7 @@ from armctl.sim.repairs import has_repaired, repair, repair_counts
 from armctl.sim.wrench_sensor import WrenchSensor
 
 AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
+RESTING_S = 0.5  # a joint that moves by less than that speed allows in this time rests, however its sensors make it tremble
 _MAX_KEPT_TICKS = 20_000
 _FLOAT64 = np.dtype(np.float64)
 

@@ -206,5 +206,5 @@ def test_a_printed_comparison_is_the_table_of_the_command_line(bundled_motion):
     reports = armctl.compare(bundled, ["pd", "computed-torque"], motion, poses=0)
     lines = str(reports).splitlines()
     assert lines[0].startswith("controller")
-    assert [sum(line.startswith(name) for line in lines) for name in ("pd ", "computed-torque ")] == [3, 3]
+    assert [sum(line.startswith(name) for line in lines) for name in ("pd ", "computed-torque ")] == [2, 2]
     assert max(map(len, lines)) <= 80

@@ -79,10 +79,15 @@ def tracking_error(real, model):
 @pytest.mark.parametrize("name", ["planar", "six joints"])
 def test_an_identified_model_tracks_far_better(arms, motions, name):
     arm = arms[name]
-    real = changed(arm)
-    found = armctl.identify(arm, recorded(real, motions[name]))
-    assert found.ok, found.reason
-    assert tracking_error(real, found.applied_to(arm)) < 0.12 * tracking_error(real, arm)
+    before = 0.0
+    after = 0.0
+    for seed in (1, 2):
+        real = changed(arm, seed)
+        found = armctl.identify(arm, recorded(real, motions[name]))
+        assert found.ok, found.reason
+        before += tracking_error(real, arm)
+        after += tracking_error(real, found.applied_to(arm))
+    assert after < 0.1 * before
 
 
 def test_dry_friction_is_identified(planar):

@@ -25,6 +25,20 @@ def pair(first: str, second: str, *, suffix: bool = False) -> mujoco.MjSpec:
     return spec
 
 
+def test_two_nominal_voltages_that_give_different_torques_compile_to_the_same_numbers():
+    """So a specification or a model does not tell the torque of a motor without a range of its voltage."""
+    specs = [
+        mujoco.MjSpec.from_string(mjcf(limb("a b"), motors("a b", b=DC.replace("24 1.5 300", nominal))))
+        for nominal in ("24 1.5 300", "48 3 600")
+    ]
+    assert specs[0].to_xml() == specs[1].to_xml()
+    models = [spec.compile() for spec in specs]
+    assert np.array_equal(models[0].actuator_gainprm, models[1].actuator_gainprm)
+    for given in (*specs, *models):
+        with pytest.raises(armctl.ModelError, match=r"m_b' has no voltage, so its torque is unknown.*load the file itself"):
+            armctl.load(given, tip="B")
+
+
 @pytest.mark.parametrize(("first", "second"), [("left/", "right/"), ("l_", "r_"), ("arm", "arm2")])
 def test_each_attached_arm_starts_in_its_own_keyframe(first: str, second: str):
     left, right = armctl.load_arms(pair(first, second), [f"{first}B", f"{second}B"])
