@@ -76,24 +76,3 @@ def test_a_motion_inside_the_margins_is_not_proved(tmp_path):
     check = armctl.check_clearance(arm, motion)
     assert not check.ok
     assert check.distance == pytest.approx(-0.03, abs=1e-3)
-
-
-@pytest.mark.parametrize("margin", [0.0, 0.02])
-def test_a_link_within_the_margin_of_the_floor_wherever_it_turns_is_left_out_by_the_simulation_too(tmp_path, margin):
-    links = (
-        f'<geom name="floor" type="plane" size="1 1 1" margin="{margin}"/>'
-        '<body name="turntable" pos="0 0 0.02"><joint name="a" axis="0 0 1" range="-2 2" armature="0.1"/>'
-        '<geom type="cylinder" size="0.1 0.01" mass="1"/>'
-        '<body name="upper" pos="0 0 0.3"><joint name="b" axis="0 1 0" range="-1 1" armature="0.1"/>'
-        '<geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.02" mass="0.5"/></body></body>'
-    )
-    path = tmp_path / "arm.xml"
-    path.write_text(
-        mjcf(links, '<actuator><motor joint="a" ctrlrange="-20 20"/><motor joint="b" ctrlrange="-20 20"/></actuator>')
-    )
-    arm = armctl.load(path)
-    for q in ([0.0, 0.0], [1.0, 0.5]):
-        assert force_of_contacts(arm, np.array(q)) == 0.0
-    result = armctl.Simulation(arm).move_j([1.0, 0.5])
-    assert result.ok, result.reason
-    assert not result.contacts
