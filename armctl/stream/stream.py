@@ -321,9 +321,10 @@ class Stream:
 
         Raises:
             InputError: A wrong length or an earlier time; nothing changes.
+            LimitError: A position outside its limits; nothing changes.
         """
+        rest = self._arm.checked("q", q)
         self._t = number("t", t, self._t)
-        rest = vector("q", q, self._arm.n)
         self._previous = None
         self._targets.rest_at(rest)
         self._take(standing(rest))

@@ -212,6 +212,8 @@ def test_random_chunks_jumps_and_gaps_break_no_limit(arm, seed: int):
         (lambda s: s.push_pose(0.0, [1.0, 2.0]), "target: "),
         (lambda s: s.clutch([0, 0, 0]), "device: "),
         (lambda s: s.step(-1.0), "dt: "),
+        (lambda s: s.restart(-1.0, np.zeros(3)), "t: "),
+        (lambda s: s.restart(1.0, [90.0, 45.0, -30.0]), r"q: shoulder_yaw: 90 rad .*degrees\?"),
     ],
 )
 def test_bad_input_is_refused_in_one_sentence_and_changes_nothing(arm, call, message: str):
