@@ -32,9 +32,8 @@ _PRIOR_GYRATION = 0.1  # m, the radius that gives a body of the mass found so fa
 _MAX_SATURATED_SHARE = 0.05  # of a run that a motor spends at its torque limit
 _MIN_OSCILLATION = 0.2  # rad/s (m/s): smaller differences from the velocity of the reference are noise
 _ROUNDS = 8  # of the fit: inertia is not linear in a payload's centre, and joints differ in noise
-_FINDING_ERRORS = (
-    3.0  # standard errors by which friction in the model is too high, or a moment of inertia above 0, to be reported
-)
+# Standard errors by which friction of the model is too high, or a moment of inertia is above 0, to be reported.
+_FINDING_ERRORS = 3.0
 _STATES = 20  # random states at which the regressor of the mass is compared with that of the centre
 _MIN_INDEPENDENT_SHARE = 1e-6  # of the mass's regressor that is not round-off
 
