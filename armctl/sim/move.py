@@ -148,21 +148,23 @@ class ControlledArms:
         with self.recording(durations) as recorder:
             self._run(trajectories, reference, recorder)
             if until_rest:
-                self._wait_for_rest([self._slices[tip] for tip in trajectories], dwell - held, recorder)
+                left = ticks_for(moving + dwell, self.drive.dt) - ticks
+                self._wait_for_rest([self._slices[tip] for tip in trajectories], left, recorder)
         return self._logs
 
-    def _wait_for_rest(self, joints: Sequence[slice], timeout: float, recorder: Recorder) -> None:
-        """Holds the arms until their joints have stayed where they are for a while; a swing is still at its turning points."""
+    def _wait_for_rest(self, joints: Sequence[slice], ticks: int, recorder: Recorder) -> None:
+        """Holds the arms, at most for so many ticks, until their joints have stayed where they are for a while; a swing is still
+        at its turning points."""
         drive = self.drive
-        hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
+        interval = ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt)
         passed: deque[Array] = deque(maxlen=1 + round(RESTING_S / SETTLE_CHECK_INTERVAL_S))
-        deadline = drive.data.time + timeout
-        while not drive.failure and drive.data.time < deadline:
+        for first in range(0, ticks, interval):
             passed.append(drive.state.q)
             moved = np.ptp(np.array(passed), axis=0)
-            if len(passed) == passed.maxlen and all((moved[each] < AT_REST_SPEED * RESTING_S).all() for each in joints):
+            at_rest = len(passed) == passed.maxlen and all((moved[each] < AT_REST_SPEED * RESTING_S).all() for each in joints)
+            if at_rest or drive.failure:
                 return
-            drive.run(self._controller, hold, recorder)
+            drive.run(self._controller, hold_reference(drive, min(interval, ticks - first) * drive.dt), recorder)
 
     def _run(self, trajectories: Mapping[str, Trajectory], reference: TickReference, recorder: Recorder) -> None:
         """Runs motions on the ticks."""

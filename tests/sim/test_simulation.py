@@ -367,7 +367,7 @@ def test_two_plants_of_the_same_kind_are_two_results(bundled: Arm):
     first, second = armctl.compare(bundled, ["pd"], motion, [weak, strong], dwell=0.25)
     assert [first.plant, second.plant] == [str(weak), str(strong)]
     assert not np.array_equal(first.log.q, second.log.q)
-    equal = armctl.simulate(bundled, "pd", motion, Plant(coulomb_friction=0.01))
+    equal = armctl.simulate(bundled, "pd", motion, Plant(coulomb_friction=0.01), dwell=0.25)
     assert np.array_equal(first.log.q, equal.q)
 
 
