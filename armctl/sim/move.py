@@ -153,8 +153,10 @@ class ControlledArms:
         return self._logs
 
     def _wait_for_rest(self, joints: Sequence[slice], ticks: int, recorder: Recorder) -> None:
-        """Holds the arms, at most for so many ticks, until their joints have stayed where they are for a while; a swing is still
-        at its turning points."""
+        """Holds the arms, at most for so many ticks, until their joints have stayed where they are for a while.
+
+        One look is not enough: a swing is still at its turning points.
+        """
         drive = self.drive
         interval = ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt)
         passed: deque[Array] = deque(maxlen=1 + round(RESTING_S / SETTLE_CHECK_INTERVAL_S))
