@@ -13,7 +13,7 @@ from armctl.core.validation import Array, shown
 from armctl.loading.datasheets import Row
 from armctl.mjmodel.couplings import tendon_coefficients
 from armctl.mjmodel.dc_motor import DcMotor
-from armctl.mjmodel.queries import actuator_name, joint_name, joint_range
+from armctl.mjmodel.queries import LINEAR_BIASES, LINEAR_GAINS, actuator_name, joint_name, joint_range
 from armctl.mjmodel.transmissions import Mimic, Transmission
 from armctl.robot.joint_map import JointMap
 
@@ -21,6 +21,13 @@ DEFAULT_SPEED = {mujoco.mjtJoint.mjJNT_HINGE: 2.0, mujoco.mjtJoint.mjJNT_SLIDE: 
 DEFAULT_ACCELERATION_TIME_S = 0.05  # from zero to the greatest acceleration
 _ASSUMED_ACCELERATION = 10.0  # rad/s^2 beyond gravity, of a motor whose torque nothing specifies
 _TORQUE_SAMPLES = 50  # configurations in which gravity is evaluated
+# As numbers: `numpy.int32(3) in (mjtDyn.mjDYN_FILTER,)` is False, although the two compare equal with ==.
+_LINEAR_DYNAMICS = (
+    int(mujoco.mjtDyn.mjDYN_NONE),
+    int(mujoco.mjtDyn.mjDYN_INTEGRATOR),
+    int(mujoco.mjtDyn.mjDYN_FILTER),
+    int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
+)
 
 
 @dataclass(frozen=True)
@@ -63,9 +70,10 @@ def torque_limits(
 ) -> TorqueLimits:
     """The torque limits of an arm's joints in a model as compiled from its file, with its own actuators.
 
-    The smallest of the model's own limits: the actuator's forcerange x gear, the joint's actfrcrange, the stall torque of a
-    DC motor and, for an actuator that is already a motor, ctrlrange x gear. Without any, the data sheet's limit; without
-    that, an assumption, with a note. ModelError if a range does not allow torques of both signs.
+    The smallest of the model's own limits: the actuator's forcerange x gear, the actfrcrange of the joint or the tendon, the
+    stall torque of a DC motor and, for an actuator with a constant gain, its ctrlrange (or actrange) x gain x gear. Without
+    any, the data sheet's limit; without that, an assumption, with a note. ModelError if a range does not allow torques of both
+    signs.
     """
     tau = np.full(len(transmissions), np.inf)
     sources: set[str] = set()
@@ -171,10 +179,14 @@ def _torque_ranges(
             raise ModelError(f"joint {name} is driven by a muscle, which pulls in one direction only; an arm needs motors")
         if gear == 0:
             raise ModelError(f"joint {name}: its actuator has a gear of 0 and cannot move it")
-    ranges = [torque_range(model, actuator, gear) for actuator, gear in gears.items()]
-    if all(source for source, _, _ in ranges):
-        source = ", ".join(sorted({source for source, _, _ in ranges}))
-        yield source, (sum(low for _, low, _ in ranges), sum(high for _, _, high in ranges))
+    ranges = {actuator: torque_range(model, actuator, gear) for actuator, gear in gears.items()}
+    if all(source for source, _, _ in ranges.values()):
+        low = 0.0
+        high = 0.0
+        for bounds, actuators in _groups(model, gears):
+            low += max(bounds[0], sum(ranges[actuator][1] for actuator in actuators))
+            high += min(bounds[1], sum(ranges[actuator][2] for actuator in actuators))
+        yield ", ".join(sorted({source for source, _, _ in ranges.values()})), (low, high)
     for joint, moment in transmission.moments.items():
         if model.jnt_actfrclimited[joint]:
             yield joint_limit, _scaled(transmission.gear / moment, model.jnt_actfrcrange[joint])
@@ -185,11 +197,15 @@ def torque_range(model: mujoco.MjModel, actuator: int, gear: float) -> tuple[str
     found: list[tuple[str, tuple[float, float]]] = []
     if model.actuator_forcelimited[actuator]:
         found.append(("forcerange", _scaled(gear, model.actuator_forcerange[actuator])))
-    control = model.actuator_ctrladr[actuator]
-    if is_motor(model, actuator) and model.actuator_ctrllimited[control]:
-        found.append(
-            ("ctrlrange", _scaled(gear * float(model.actuator_gainprm[actuator, 0]), model.actuator_ctrlrange[control]))
-        )
+    if has_constant_gain(model, actuator):
+        gain = float(model.actuator_gainprm[actuator, 0])
+        has_bias = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+        offset = float(model.actuator_biasprm[actuator, 0]) if has_bias else 0.0
+        ranges = _input_ranges(model, actuator)
+        found += [(source, _scaled(gear, gain * bounds + offset)) for source, bounds in ranges.items()]
+    if (tendon := _limited_tendon(model, actuator)) >= 0:
+        per_force = gear / float(model.actuator_gear[actuator, 0])
+        found.append(("actuatorfrcrange of a tendon", _scaled(per_force, model.tendon_actfrcrange[tendon])))
     low = max((bounds[0] for _, bounds in found), default=-np.inf)
     high = min((bounds[1] for _, bounds in found), default=np.inf)
     least = min(-low, high)
@@ -220,14 +236,54 @@ def _check_voltage_is_known(model: mujoco.MjModel, transmission: Transmission, m
         name = shown(actuator_name(model, transmission.actuator))
         raise ModelError(
             f"the dcmotor {name} has no voltage, so its torque is unknown; MuJoCo keeps no nominal voltage in a specification "
-            'or a model: load the file itself, or write ctrlrange="-24 24" (V), or a forcerange'
+            'or a model: load the file itself, or write ctrlrange="-24 24" (V), or saturation="1.5 0 0" (N m at the motor)'
         )
 
 
-def is_motor(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator's force is its control times a constant."""
-    fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
-    return fixed and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE and not model.actuator_dyntype[actuator]
+def has_constant_gain(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's force is a constant times its control, or its filtered or integrated control, plus a constant."""
+    gain = model.actuator_gainprm[actuator, 1:3].any() and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_AFFINE
+    bias = model.actuator_biasprm[actuator, 1:3].any() and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+    return bool(
+        model.actuator_gaintype[actuator] in LINEAR_GAINS
+        and model.actuator_biastype[actuator] in LINEAR_BIASES
+        and model.actuator_dyntype[actuator] in _LINEAR_DYNAMICS
+        and model.actuator_plugin[actuator] < 0
+        and not (gain or bias)
+    )
+
+
+def _input_ranges(model: mujoco.MjModel, actuator: int) -> dict[str, Array]:
+    """The ranges of what the gain of an actuator multiplies: its control, or what its filter or its integral makes of it."""
+    control = model.actuator_ctrladr[actuator]
+    dynamics = model.actuator_dyntype[actuator]
+    found: dict[str, Array] = {}
+    if model.actuator_ctrllimited[control] and dynamics != mujoco.mjtDyn.mjDYN_INTEGRATOR:
+        found["ctrlrange"] = model.actuator_ctrlrange[control]
+    if model.actuator_actlimited[actuator] and dynamics != mujoco.mjtDyn.mjDYN_NONE:
+        found["actrange"] = model.actuator_actrange[actuator]
+    return found
+
+
+def _groups(model: mujoco.MjModel, gears: dict[int, float]) -> Iterator[tuple[tuple[float, float], list[int]]]:
+    """The actuators of a joint whose torques a limit bounds together, N m: those on a limited tendon; each other one alone."""
+    on_tendon: dict[int, list[int]] = {}
+    for actuator in gears:
+        tendon = _limited_tendon(model, actuator)
+        if tendon < 0:
+            yield (-np.inf, np.inf), [actuator]
+        else:
+            on_tendon.setdefault(tendon, []).append(actuator)
+    for tendon, actuators in on_tendon.items():
+        per_force = gears[actuators[0]] / float(model.actuator_gear[actuators[0], 0])
+        yield _scaled(per_force, model.tendon_actfrcrange[tendon]), actuators
+
+
+def _limited_tendon(model: mujoco.MjModel, actuator: int) -> int:
+    """The tendon of an actuator if it limits the forces of its actuators; -1 if there is none."""
+    tendon = int(model.actuator_trnid[actuator, 0])
+    is_on_tendon = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON
+    return tendon if is_on_tendon and model.tendon_actfrclimited[tendon] else -1
 
 
 def _scaled(factor: float, bounds: Array) -> tuple[float, float]:

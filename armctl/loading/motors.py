@@ -31,6 +31,9 @@ def make_motors(
     """
     joints = {j.id: j for j in spec.joints}
     motors = {a.id: a for a in spec.actuators}
+    tendons = {t.id: t for t in spec.tendons}
+    for tendon in _tendons_of(analysis.model, transmissions):
+        tendons[tendon].actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the range of the motor's force bounds the torque
     voltages = {each.actuator: each.voltage for each in dc_motors if each is not None}
     for transmission in transmissions:
         for coupled in transmission.coupled:
@@ -89,6 +92,7 @@ def make_motors_in_model(
     for transmission in transmissions:
         for joint in transmission.coupled:
             model.jnt_actgravcomp[joint] = 0
+    model.tendon_actfrclimited[_tendons_of(model, transmissions)] = 0
     voltages = {each.actuator: each.voltage for each in dc_motors if each is not None}
     for transmission, actuator, gear, bound in _motors_of(analysis, transmissions, tau_max):
         if _has_memory(model, actuator):
@@ -138,6 +142,12 @@ def _motors_of(
             gear = abs(analysis.gear_of(actuator, transmission.coupled)) or 1.0
             bound = torque / gear if actuator == transmission.actuator else _IDLE_FORCE
             yield transmission, actuator, gear, bound
+
+
+def _tendons_of(model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> list[int]:
+    """The tendons on which the motors of an arm pull."""
+    motors = [transmission.actuator for transmission in transmissions]
+    return [int(model.actuator_trnid[k, 0]) for k in motors if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_TENDON]
 
 
 def _has_memory(model: mujoco.MjModel, actuator: int) -> bool:

@@ -10,8 +10,8 @@ from armctl.core.validation import Array, BoolArray
 
 # As numbers: `numpy.int32(3) in (mjtJoint.mjJNT_HINGE,)` is False, although the two compare equal with ==.
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
-_LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 DISABLES_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -89,7 +89,7 @@ def is_powerless(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether the force of an actuator is always zero, such as that of a servo whose gains are 0 in the file."""
     if not model.actuator_gear[actuator].any():
         return True
-    is_linear = model.actuator_gaintype[actuator] in _LINEAR_GAINS and model.actuator_biastype[actuator] in _LINEAR_BIASES
+    is_linear = model.actuator_gaintype[actuator] in LINEAR_GAINS and model.actuator_biastype[actuator] in LINEAR_BIASES
     if not is_linear or model.actuator_plugin[actuator] >= 0:
         return False
     return not model.actuator_gainprm[actuator].any() and not model.actuator_biasprm[actuator].any()
