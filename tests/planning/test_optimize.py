@@ -6,8 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 from collidable import arm_among, placed
+from synthetic import BENT, serial_arm
 
 import armctl
+from armctl.collision.checkers import collision_checker
+from armctl.motion.torque_limits import InverseDynamics
+from armctl.planning.descent import Descent
+from armctl.planning.move_free import FreeSpace
+from armctl.planning.transcription import SAMPLES, Transcription
 
 WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
 START = np.array([-0.8, 1.0, 0.4, 0.0, 0.3, 0.0])
@@ -40,7 +46,7 @@ WEIGHTS = [{"time": 1.0}, {"time": 0.0, "torque": 1.0}, {"time": 1.0, "vibration
 
 @pytest.mark.parametrize("weights", WEIGHTS, ids=["time", "torque", "time and vibration", "distance"])
 def test_the_motion_costs_less_and_is_free_within_all_limits(arm, motion, weights):
-    better = armctl.optimize(arm, motion, evaluations=80, **weights)
+    better = armctl.optimize(arm, motion, evaluations=150, **weights)
     assert better, better.reason
     assert better.clearance
     assert_free(arm, better.motion)
@@ -50,8 +56,8 @@ def test_the_motion_costs_less_and_is_free_within_all_limits(arm, motion, weight
     named = {"time": 0.0} | weights
     ratios = [getattr(better.after, name) / getattr(better.before, name) for name in named]
     assert better.cost == pytest.approx(np.average(ratios, weights=list(named.values())), rel=1e-9)
-    assert better.cost < 0.995
-    assert better.evaluations == 80
+    assert better.cost < 0.9
+    assert better.evaluations <= 150
 
 
 def test_the_measures_are_those_of_the_motion(arm, motion):
@@ -78,24 +84,95 @@ def test_weak_motors_are_respected(arm, motion):
     weak = arm.with_limits(replace(arm.limits, tau_max=1.1 * held + 0.7 * (needed - held)))
     slowed = armctl.move_free(weak, START, GOAL)
     assert slowed.slowed is not None
-    better = armctl.optimize(weak, slowed, evaluations=60)
+    better = armctl.optimize(weak, slowed, evaluations=150)
     assert better
     assert_free(weak, better.motion)
 
 
-def test_the_same_seed_gives_the_same_bits(arm, motion):
-    first, again, other = (armctl.optimize(arm, motion, evaluations=40, seed=seed).motion for seed in (3, 3, 4))
-    np.testing.assert_array_equal(first.coefficients, again.coefficients)
-    assert first.coefficients.shape != other.coefficients.shape or (first.coefficients != other.coefficients).any()
+@pytest.fixture(scope="module")
+def beside(arm) -> tuple[armctl.Arm, armctl.JointTrajectory]:
+    """A straight motion beside the wall that weak motors slow down, and its arm."""
+    goal = np.array([-1.9, -0.2, 1.3, 0.9, -0.6, 0.5])
+    free = armctl.move_j(arm, START, goal)
+    held = np.abs([arm.gravity(q) for q in free.sample(np.linspace(0.0, free.duration, 100)).q]).max(axis=0)
+    needed = np.array(armctl.check_torque(arm, free).ratios) * arm.limits.tau_max
+    weak = arm.with_limits(replace(arm.limits, tau_max=1.1 * held + 0.3 * (needed - held) + 0.1))
+    return weak, armctl.move_j(weak, START, goal)
+
+
+def test_weak_motors_move_faster_on_a_path_that_suits_them(beside):
+    """Random waypoints saved 0.3 %. Judged by MuJoCo's inverse dynamics and distances at dense samples."""
+    arm, straight = beside
+    better = armctl.optimize(arm, straight, evaluations=150)
+    assert better.motion.duration < 0.95 * straight.duration
+    times = np.linspace(0.0, better.motion.duration, 2001)
+    q, v, a = better.motion.sample(times)[:3]
+    slack = 1.0 + 1e-6
+    assert (q >= arm.limits.q_min).all()
+    assert (q <= arm.limits.q_max).all()
+    assert (np.abs(v) <= slack * arm.limits.v_max).all()
+    assert (np.abs(a) <= slack * arm.limits.a_max).all()
+    assert (np.abs(np.diff(a, axis=0)) <= slack * np.diff(times)[:, None] * arm.limits.j_max).all()
+    step = times[1]
+    assert (np.abs(np.diff(q, axis=0) / step - 0.5 * (v[1:] + v[:-1])) <= step**2 * arm.limits.j_max).all()
+    assert (np.abs(np.diff(v, axis=0) / step - 0.5 * (a[1:] + a[:-1])) <= step * arm.limits.j_max).all()
+    data = mujoco.MjData(arm.model)
+    wall = arm.model.geom("wall").id
+    links = [geom for geom in range(arm.model.ngeom) if geom != wall and arm.model.geom_contype[geom]]
+    assert len(links) == 6
+    for state in zip(q, v, a, strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = state
+        mujoco.mj_inverse(arm.model, data)
+        assert (np.abs(data.qfrc_inverse) <= (1.0 + 1e-3) * arm.limits.tau_max).all()
+        assert min(mujoco.mj_geomDistance(arm.model, data, wall, link, 1.0, None) for link in links) > 1e-3
+
+
+def test_a_motion_over_a_wall_becomes_much_faster(arm, motion):
+    """Random waypoints saved 4 %."""
+    better = armctl.optimize(arm, motion)
+    assert better.cost < 0.85
+    assert_free(arm, better.motion)
+
+
+def test_the_same_seed_gives_the_same_bits(tmp_path):
+    planar = serial_arm(tmp_path, BENT["planar"], shapes="capsules")
+    straight = armctl.move_j(planar, [0.2, 0.5, 0.9], [1.2, -0.3, 0.5])
+    first, again, other = (armctl.optimize(planar, straight, vibration=1.0, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.motion.coefficients, again.motion.coefficients)
+    np.testing.assert_array_equal(first.motion.knots, again.motion.knots)
+    assert first.evaluations == again.evaluations
+    assert first.evaluations != other.evaluations or first.cost != other.cost
 
 
 def test_a_motion_that_cannot_be_made_better_is_returned(arm):
     straight = armctl.move_j(arm, START, START + 0.1)
-    same = armctl.optimize(arm, straight, evaluations=20)
+    same = armctl.optimize(arm, straight, evaluations=60)
     assert not same
     assert same.motion is straight
     assert same.cost == 1.0
-    assert same.reason == "none of 20 motions was better and proved free"
+    assert same.reason == f"none of {same.evaluations} motions was better and proved free"
+
+
+def test_no_motion_stays_none(arm):
+    rest = armctl.move_j(arm, START, START)
+    assert armctl.optimize(arm, rest).motion is rest
+
+
+def test_the_derivatives_are_those_of_the_values(beside):
+    """Cost, limits, distances and ends along a random direction, by central differences."""
+    arm, straight = beside
+    transcription = Transcription(arm.limits, InverseDynamics(arm), START, straight(straight.duration).q, straight.duration, 8)
+    space = FreeSpace(collision_checker(arm), 0.05)
+    descent = Descent(transcription, space, np.array([1.0, 2.0, 3.0, 0.5]), 10.0, lambda: None)
+    rng = np.random.default_rng(0)
+    x = transcription.unknowns(straight.sample(np.linspace(0.0, straight.duration, SAMPLES * 8 + 1)).q)
+    x += 0.02 * rng.normal(size=x.size)
+    direction = 1e-5 * rng.normal(size=x.size)
+    for name in ("cost", "free", "gaps"):
+        low, middle, high = (descent.at(x + share * direction) for share in (-1.0, 0.0, 1.0))
+        by_difference = 0.5 * (getattr(high, name).values - getattr(low, name).values)
+        slope = getattr(middle, name).slopes @ direction
+        np.testing.assert_allclose(slope, by_difference, atol=2e-4 * np.abs(by_difference).max())
 
 
 def test_wrong_arguments_are_explained(arm, motion):
