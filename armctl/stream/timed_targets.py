@@ -7,20 +7,27 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armctl._core import solve_program
 from armctl.core.validation import Array
 
 _HISTORY_S = 0.8  # older targets say nothing about the next one
-# Numbers of targets in the fit, and the degree of its polynomial. Few follow fast motions, many average noise; the lower the
-# degree, the less noise is amplified far ahead.
-_FITS = ((4, 1), (6, 2), (10, 2), (16, 2), (2, 1), (8, 1), (16, 1), (1, 0), (3, 0))
+# Numbers of targets in a fit, and the degree of its polynomial. Few follow fast motions, many average noise; the lower the
+# degree, the less noise is amplified far ahead. The first one predicts until errors are known: it follows best what begins
+# from rest.
+_FITS = ((4, 1), (6, 2), (10, 2), (16, 2), (32, 2), (2, 1), (8, 1), (16, 1), (32, 1), (1, 0), (3, 0), (10, 0))
+_COUNTS = np.array([count for count, _ in _FITS])
+_DEGREES = np.array([degree for _, degree in _FITS])
 _MIN_FOR_SLOPE = 2
 _MIN_FOR_CURVATURE = 6  # with fewer, the noise of the curvature exceeds what it corrects
-_JUDGED_AHEAD = 3  # frames after its making for which a prediction is judged: the arm follows it until about then
+_JUDGED_AHEAD = 2  # frames after its making for which a prediction is judged: the arm joins it there
 _MAX_PREDICTIONS = 64  # that wait for their judgement
-_EQUAL = 1.1  # a fit whose errors exceed the least ones by no more than this is as good
+_MEMORY_S = 0.5  # in which the weight of earlier errors falls to 1/e
+# Of the least squares of errors: it keeps few errors from deciding between fits that are about as good.
+_EQUAL_SHARE = 0.05
 _NO_ERROR = 1e-6  # rad^2 (m^2)
-_FORGETTING = 0.9  # of earlier errors, at each target
+_SCATTER_MEMORY = 0.9  # of the earlier scatter, at each target
 _MIN_FOR_SCATTER = 4
+_MAX_FOR_SCATTER = 6
 _JUMP_FACTOR = 6.0  # of the scatter about the fit; a target that is further off begins a new history
 _MIN_JUMP = 0.02  # rad (m): smaller steps are followed as a motion
 # After how many frames the arm may join the prediction; after one it would copy the noise of the targets.
@@ -58,10 +65,12 @@ class TimedTargets:
         self._v_max = v_max
         self._a_max = a_max
         self.rest = q  # (n,) rad, the newest target, where the arm rests if nothing more arrives
-        self._history: deque[tuple[float, Array]] = deque(maxlen=max(count for count, _ in _FITS) + _JUDGED_AHEAD)
+        self._history: deque[tuple[float, Array]] = deque(maxlen=int(_COUNTS.max()))
         # The time for which each prediction is judged, that of its newest target, and the coefficients of its fits.
-        self._predictions: deque[tuple[float, float, list[Array]]] = deque(maxlen=_MAX_PREDICTIONS)
-        self._errors = np.zeros(len(_FITS))
+        self._predictions: deque[tuple[float, float, Array]] = deque(maxlen=_MAX_PREDICTIONS)
+        self._errors = np.zeros((len(_FITS), len(_FITS)))  # products of the errors of each two fits
+        self._weights = np.eye(len(_FITS))[0]
+        self._scatter = np.zeros(len(q))  # of the targets about the prediction
         self._chunk: tuple[Array, Array] | None = None
 
     @property
@@ -76,12 +85,14 @@ class TimedTargets:
         while history and t - history[0][0] > _HISTORY_S:
             history.popleft()
         if not history or self._is_jump(t, q):
-            self._forget()
+            history.clear()
+            self._predictions.clear()
         self._judge(t, q)
         history.append((t, q))
         if len(history) >= _MIN_FOR_SLOPE:
-            ahead = max(now, t) + _JUDGED_AHEAD * self.interval
-            self._predictions.append((ahead, t, [_fit(*self._last(), *fit) for fit in _FITS]))
+            ahead = max(now, t) + (_JUDGED_AHEAD - 0.5) * self.interval
+            self._predictions.append((ahead, t, _fits(*self._last())))
+            self._weights = _weights(self._errors)
         self.rest = q
 
     def push_chunk(self, t: Array, rows: Array) -> None:
@@ -124,8 +135,7 @@ class TimedTargets:
             at_rest = np.zeros((len(times), len(self.rest)))
             return self.rest + at_rest, at_rest, at_rest
         _, newest, fits = self._predictions[-1]
-        # At rest all are equal: the first one follows best what comes then.
-        c = fits[int(np.argmax(self._errors <= _EQUAL * self._errors.min() + _NO_ERROR))]
+        c = np.tensordot(self._weights, fits, 1)
         u = (times - newest)[:, None]
         return c[0] + u * (c[1] + u * c[2]), c[1] + 2 * u * c[2], np.broadcast_to(2 * c[2], (len(times), c.shape[1]))
 
@@ -138,14 +148,15 @@ class TimedTargets:
             return
         for _, newest, fits in due[-1:]:
             u = t - newest
-            errors = [np.sum((q - (c[0] + u * (c[1] + u * c[2]))) ** 2) for c in fits]
-            self._errors = _FORGETTING * self._errors + errors
+            errors = q - (fits[:, 0] + u * (fits[:, 1] + u * fits[:, 2]))
+            self._errors = np.exp(-self.interval / _MEMORY_S) * self._errors + errors @ errors.T
 
     def _forget(self) -> None:
         """Begins a new history. What was learned about the fits is learned anew."""
         self._history.clear()
         self._predictions.clear()
         self._errors[:] = 0.0
+        self._scatter[:] = 0.0
 
     def _last(self) -> tuple[Array, Array]:
         """Times (K,) and targets (K, n) of the history."""
@@ -155,13 +166,15 @@ class TimedTargets:
         """Whether a target does not continue the motion of the history."""
         newest, last = self._history[-1]
         if len(self._history) < _MIN_FOR_SCATTER:
-            return bool((np.abs(q - last) > self._v_max * (t - newest)).any())
-        times = np.array([each for each, _ in self._history])
+            fastest = self._v_max * max(t - newest, _DEFAULT_INTERVAL_S)
+            return bool((np.abs(q - last) > np.maximum(fastest, _JUMP_FACTOR * self._scatter)).any())
+        times, rows = self._last()
         fitted = self._predicted(np.append(times, t))[0]
-        few = slice(-_FITS[1][0], None)
-        scatter = np.sqrt(np.mean((fitted[:-1] - self._last()[1])[few] ** 2, axis=0))
+        off = (fitted[:-1] - rows)[-_MAX_FOR_SCATTER:]
+        scatter = np.sqrt((off**2).sum(axis=0) / (len(off) - _MIN_FOR_SLOPE))
+        self._scatter = np.maximum(scatter, _SCATTER_MEMORY * self._scatter)
         possible = 0.5 * self._a_max * (t - newest) ** 2
-        return bool((np.abs(q - fitted[-1]) > np.maximum(_JUMP_FACTOR * scatter, _MIN_JUMP) + possible).any())
+        return bool((np.abs(q - fitted[-1]) > np.maximum(_JUMP_FACTOR * self._scatter, _MIN_JUMP) + possible).any())
 
     def _interpolated(self, now: float) -> Knots:
         """The rows of the chunk that are still to come, with the derivatives of the parabola through each and its neighbors."""
@@ -178,15 +191,40 @@ class TimedTargets:
         return Knots(t[ahead], q[ahead], v[ahead], a[ahead], self.rest, joins)
 
 
-def _fit(t: Array, q: Array, count: int, degree: int) -> Array:
-    """(3, n) coefficients of the least-squares polynomial through the last rows, of powers of the time since the last one."""
-    t = t[-count:]
-    q = q[-count:]
-    if len(t) < _MIN_FOR_CURVATURE:
-        degree = min(degree, 1)
-    coefficients = np.zeros((3, q.shape[1]))
-    coefficients[: degree + 1] = np.linalg.lstsq(np.vander(t - t[-1], degree + 1, increasing=True), q, rcond=None)[0]
-    return coefficients
+def _fits(t: Array, q: Array) -> Array:
+    """Least-squares polynomials through the last of some rows q (K, n) at the times t (K,).
+
+    Returns:
+        (F, 3, n) coefficients of each of _FITS, of powers of the time since the last row.
+    """
+    counts = np.minimum(_COUNTS, len(t))
+    degrees = np.minimum(_DEGREES, 1) if len(t) < _MIN_FOR_CURVATURE else _DEGREES
+    u = (t - t[-1])[::-1]
+    powers = u ** np.arange(5)[:, None]
+    span = np.where(counts > 1, -u[counts - 1], 1.0)[:, None] ** np.arange(
+        5
+    )  # of time, which makes the equations free of units
+    sums = np.cumsum(powers, axis=1)[:, counts - 1].T / span  # (F, 5)
+    right = np.cumsum(powers[:3, :, None] * q[::-1], axis=1)[:, counts - 1].swapaxes(0, 1) / span[:, :3, None]
+    used = np.arange(3) <= degrees[:, None]
+    left = np.where(used[:, :, None] & used[:, None, :], sums[:, np.add.outer(np.arange(3), np.arange(3))], np.eye(3))
+    return np.linalg.solve(left, np.where(used[:, :, None], right, 0.0)) / span[:, :3, None]
+
+
+def _weights(products: Array) -> Array:
+    """The mean of predictions with the least squares of errors, whose products (F, F) are given: (F,), at least 0, with sum 1.
+
+    After Bates and Granger, "The combination of forecasts" (1969). Errors that differ cancel each other, as those of holding,
+    which lags, and of a slope, which is noisy; of errors that are alike the smaller ones decide.
+    """
+    count = len(products)
+    equal = np.full(count, _NO_ERROR)
+    equal[0] = 0.1 * _NO_ERROR  # at rest all are as good
+    cost = products + np.diag(equal + _EQUAL_SHARE * products.diagonal().min())
+    weights = np.zeros(count)
+    zero_to_one = np.append(np.zeros(count), 1.0), np.ones(count + 1)
+    found = solve_program(cost, np.zeros(count), np.ones((1, count)), *zero_to_one, weights)
+    return weights if found else np.eye(count)[int(products.diagonal().argmin())]
 
 
 def _step(t: Array) -> float:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import armctl
 from armctl.core.trajectory import Setpoint
 from armctl.motion.trajectory.piecewise import sample
+from armctl.stream.timed_targets import TimedTargets
 
 DT = 2e-3
 RATE = 30.0
@@ -99,6 +100,56 @@ def test_slow_targets_that_are_late_and_noisy_are_followed_better_than_by_interp
     interpolated = targets - np.array([wanted(t + latency + 1 / rate) for t in times])
     _, rms, _ = followed(arm, wanted, 5.0, noise=0.01, latency=latency, rate=rate)
     assert rms < 0.8 * np.sqrt(np.mean(interpolated[50:] ** 2))
+
+
+def rest(t: float) -> float:
+    return 0.0
+
+
+def fast_sine(t: float) -> float:
+    return 0.2 * np.sin(2 * np.pi * t)
+
+
+def two_sines(t: float) -> float:
+    return 0.15 * np.sin(2 * np.pi * 0.7 * t) + 0.1 * np.sin(2 * np.pi * 0.4 * t)
+
+
+def triangle(t: float) -> float:
+    return 0.2 * abs(2 * (t / 1.7 % 1.0) - 1)
+
+
+def steps(t: float) -> float:
+    return 0.25 * np.sin(7.0 * np.floor(t))
+
+
+@pytest.mark.parametrize("wanted", [rest, fast_sine, two_sines, triangle, steps])
+@pytest.mark.parametrize("latency", [0.0, 0.07, 0.2])
+@pytest.mark.parametrize("rate", [10.0, 30.0, 100.0])
+def test_no_prediction_is_worse_than_the_better_one_of_holding_and_extrapolating_the_targets(
+    wanted, latency: float, rate: float
+):
+    rng = np.random.default_rng(3)
+    joints = np.array([0.0, 0.3, 0.9])
+    targets = TimedTargets(np.array([wanted(-latency + s) for s in joints]), np.full(3, 2.0), np.full(3, 20.0))
+    errors = {"predicted": [], "held": [], "extrapolated": []}
+    last = []
+    for noise in (0.0, 0.005, 0.015):
+        for k in range(int(4 * rate)):
+            now = targets.newest + latency + 1 / rate if last else 0.0
+            t = now - latency
+            last = [*last[-1:], np.array([wanted(t + s) for s in joints]) + noise * rng.standard_normal(3)]
+            targets.push(t, last[-1], now)
+            if k < 1.5 * rate:
+                continue
+            for ahead, predicted in enumerate(targets.knots(now).q[:2], start=1):
+                true = np.array([wanted(now + ahead / rate + s) for s in joints])
+                errors["predicted"].append(predicted - true)
+                errors["held"].append(last[-1] - true)
+                errors["extrapolated"].append(last[-1] + (latency * rate + ahead) * (last[-1] - last[0]) - true)
+        rms = {name: np.sqrt(np.mean(np.square(each))) for name, each in errors.items()}
+        assert rms["predicted"] <= 1.05 * min(rms["held"], rms["extrapolated"]) + 1e-3, f"{noise} rad of noise"
+        for each in errors.values():
+            each.clear()
 
 
 def test_a_target_that_sets_off_at_half_the_arms_acceleration_is_no_jump(arm):
