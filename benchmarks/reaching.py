@@ -1,4 +1,5 @@
-"""The same reaching problems for `optimize` and for crocoddyl: from rest to rest in a given time with the least torque.
+"""The same reaching problems for `optimize` and for crocoddyl: from rest to rest in a given time with the least torque,
+where the straight motion is free.
 
     pip install crocoddyl
     python benchmarks/reaching.py [--problems 10]
@@ -27,6 +28,7 @@ from synthetic import BENT, serial_arm
 INTERVAL_S = 5e-3
 GOAL_WEIGHT = 1e5  # of the squared error of the state at the end; the torque is relative to its limits
 MAX_ITERATIONS = 300
+CLEARANCE_M = 1e-3
 
 
 def main() -> None:
@@ -39,15 +41,17 @@ def main() -> None:
         return
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
     with tempfile.TemporaryDirectory() as folder:
-        arm = serial_arm(Path(folder), BENT["redundant"])
+        arm = serial_arm(Path(folder), BENT["redundant"], shapes="capsules")
     arm = arm.with_limits(replace(arm.limits, tau_max=0.5 * arm.limits.tau_max))
     rng = np.random.default_rng(4)
     found: dict[str, list] = {"move_j, scaled": [], "optimize": [], "crocoddyl": []}
     while len(found["optimize"]) < args.problems:
         start, goal = arm.limits.random(arm.home, 2, rng)
         straight = armctl.move_j(arm, start, goal)
+        if not armctl.check_clearance(arm, straight, clearance=CLEARANCE_M):
+            continue
         began = time.process_time()
-        better = armctl.optimize(arm, straight, torque=1.0).motion
+        better = armctl.optimize(arm, straight, torque=1.0, clearance=CLEARANCE_M).motion
         elapsed = time.process_time() - began
         found["optimize"].append([*sampled(arm, better), elapsed])
         # `scaled` makes a motion slower only, and crocoddyl has no limits but those of the torque.
