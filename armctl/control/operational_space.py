@@ -17,6 +17,9 @@ class OperationalSpace(ArmController):
     After Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation"
     (1987). J# is the dynamically consistent inverse. It is damped near singular configurations, where the posture law takes
     over. The task is the tip's pose at q_ref, so the feedforward is the acceleration of the reference.
+
+    The linear damping of the joints is compensated at the velocity v_ref + J# w e + (1 - J# J) w' (q_ref - q), with the
+    bandwidths w and w', so that errors of damped joints decay as fast as by the formula.
     """
 
     name = "operational-space"

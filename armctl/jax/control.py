@@ -215,7 +215,10 @@ def operational_space(
         mobility = J @ M_inv_Jt
         damped = mobility + SINGULARITY_DAMPING**2 * jnp.trace(mobility) * jnp.eye(len(J), dtype=J.dtype)
         a = reference.a_tick + posture + M_inv_Jt @ jnp.linalg.solve(damped, task - J @ posture)
-    return _tracking_torque(model, q, v, a, reference)
+        # The velocity at which errors decay, for the damping of the joints.
+        speed = jnp.sqrt(gains.posture_stiffness) * (reference.q - q)
+        speed = speed + M_inv_Jt @ jnp.linalg.solve(damped, jnp.sqrt(gains.stiffness) * error - J @ speed)
+    return _tracking_torque(model, q, v, a, reference) + model.damping[:, 0] * speed
 
 
 def rotation_vector(R: jax.Array) -> jax.Array:

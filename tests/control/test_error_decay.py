@@ -70,7 +70,7 @@ def test_no_error_decays_more_slowly_than_the_bandwidth_says(tmp_path, shape, ba
     assert (left <= 3.0 * (1 + rate * t) * np.exp(-rate * t) + 1e-6).all()
 
 
-@pytest.mark.parametrize("name", ["computed-torque-observer", "computed-torque-learning", "qp", "mpc"])
+@pytest.mark.parametrize("name", ["computed-torque-observer", "computed-torque-learning", "qp", "mpc", "operational-space"])
 def test_the_laws_derived_from_it_lose_no_error_more_slowly_on_damped_joints(tmp_path, name):
     arm = serial_arm(tmp_path, HEAVY_DAMPING)
     goal = arm.limits.clamp(arm.home)

@@ -63,12 +63,17 @@ struct TaskSpace {
         for (size_t i = 0; i < n; ++i) { motion[i] = dot(responses.row(i), motion_of_tip, motion[i]); }
     }
 
+    // motion = J# motion_of_tip + (1 - J# J) motion, of joints (n,); `motion_of_tip` (rows,) is replaced.
+    void add_task_motion(Result motion_of_tip, Result motion) const {
+        for (size_t k = 0; k < motion_of_tip.size(); ++k) { motion_of_tip[k] -= dot(J.row(k), motion); }
+        add_joint_motion(motion_of_tip, motion);
+    }
+
     // tau = ID(q, v, a_ref + posture + J# (motion - J posture)) + damping (v_damped - v) + friction(v_friction, a_ref)
     //
     // `motion` (rows,) and `posture` (n,) are accelerations; both are replaced.
     void torque(const State& state, Vector a_ref, Result motion, Result posture, Vector v_damped, Vector v_friction, Result tau) {
-        for (size_t k = 0; k < motion.size(); ++k) { motion[k] -= dot(J.row(k), posture); }
-        add_joint_motion(motion, posture);
+        add_task_motion(motion, posture);
         for (size_t i = 0; i < n; ++i) {
             posture[i] += a_ref[i];
             column[i] = v_damped[i] - state.v[i];
