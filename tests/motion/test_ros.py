@@ -135,6 +135,24 @@ AS_THEY_OCCUR = {
         "points": [{**p, "positions": [0.04, *p["positions"]]} for p in STAMPED],
     },
     "an offset of all times": {"joint_names": NAMES, "points": LATE},
+    "rates that are null": {
+        "joint_names": NAMES,
+        "points": [{**p, "velocities": None, "accelerations": None} for p in STAMPED],
+    },
+    "arrays of NumPy": {
+        "joint_names": np.array(NAMES),
+        "points": [{**p, "positions": np.array(p["positions"]), "velocities": np.array([])} for p in STAMPED],
+    },
+    "stamps with nsec": {
+        "joint_names": NAMES,
+        "points": [
+            {**p, "time_from_start": {"sec": t["sec"], "nsec": t["nanosec"]}} for p, t in zip(TIMED, STAMPS, strict=True)
+        ],
+    },
+    "a point that is repeated a rounding later": {
+        "joint_names": NAMES,
+        "points": [TIMED[0], TIMED[1], {**TIMED[1], "time_from_start": 0.5 + 1e-12}, TIMED[2]],
+    },
 }
 
 
@@ -166,6 +184,11 @@ REFUSED = {
         {"joint_names": NAMES, "points": [*STAMPED, {**STAMPED[-1], "positions": [0.0, 0.0, 0.0]}]},
         "point 3: its time_from_start, 1 s, is not after .* remove one of the two",
     ),
+    "a stamp with another word": (
+        {"joint_names": NAMES, "points": [{**p, "time_from_start": {"sec": 2 * k, "ns": 5}} for k, p in enumerate(STAMPED)]},
+        "point 0: time_from_start: expected sec and nanosec, got 'ns'",
+    ),
+    "an empty stamp": ({"joint_names": NAMES, "points": [{**STAMPED[0], "time_from_start": {}}]}, "got an empty table"),
     "a time of bool": ({"joint_names": NAMES, "points": [{**STAMPED[0], "time_from_start": True}]}, "is not a number"),
     "a time of NaN": ({"joint_names": NAMES, "points": [{**STAMPED[0], "time_from_start": float("nan")}]}, "finite"),
     "degrees": (
@@ -180,4 +203,69 @@ def test_what_is_not_safe_is_refused_with_the_remedy(bundled, name: str):
     content, sentence = REFUSED[name]
     with pytest.raises(armctl.InputError, match=sentence) as caught:
         armctl.JointTrajectory.from_ros(content, bundled)
+    assert len(str(caught.value)) <= 400
+
+
+AMPLITUDE = np.array([0.8, -0.4, 0.3])
+
+
+def sampled(count: int, rate: float = 3.0) -> list[dict]:
+    """Points of sines, with their derivatives."""
+    times = np.linspace(0.0, 2.0, count)
+    phase = rate * times[:, None]
+    columns = {
+        "positions": AMPLITUDE * np.sin(phase) - [0.0, 0.0, 1.0],
+        "velocities": AMPLITUDE * rate * np.cos(phase),
+        "accelerations": -AMPLITUDE * rate**2 * np.sin(phase),
+    }
+    return [{"time_from_start": float(t), **{name: column[k] for name, column in columns.items()}} for k, t in enumerate(times)]
+
+
+OTHER_UNITS = {
+    "velocities in degrees": ({"velocities": 57.3}, "its velocities add up to"),
+    "accelerations in degrees": ({"accelerations": 57.3}, "its accelerations add up to"),
+    "rates in degrees": ({"velocities": 57.3, "accelerations": 57.3}, "its velocities add up to"),
+    "times in milliseconds": ({"time_from_start": 1000.0}, "degrees or milliseconds"),
+    "small positions in degrees": ({"velocities": 1 / 57.3, "accelerations": 1 / 57.3}, "are they degrees"),
+}
+
+
+@pytest.mark.parametrize("count", [5, 12, 100, 1000])
+@pytest.mark.parametrize("form", OTHER_UNITS)
+def test_rates_and_positions_in_different_units_are_refused(bundled, form: str, count: int):
+    factors, sentence = OTHER_UNITS[form]
+    points = [{name: value * factors.get(name, 1.0) for name, value in point.items()} for point in sampled(count)]
+    with pytest.raises(armctl.InputError, match=sentence) as caught:
+        armctl.JointTrajectory.from_ros({"joint_names": NAMES, "points": points}, bundled)
+    assert len(str(caught.value)) <= 400
+
+
+@pytest.mark.parametrize("rate", [0.5, 3.0, 8.0])
+@pytest.mark.parametrize("count", [3, 5, 12, 100])
+def test_rates_that_belong_to_the_positions_are_taken_at_any_density(bundled, count: int, rate: float):
+    points = sampled(count, rate)
+    motion = armctl.JointTrajectory.from_ros({"joint_names": NAMES, "points": points}, bundled)
+    for point in points:
+        assert motion(point["time_from_start"]).v == pytest.approx(point["velocities"], abs=1e-9)
+
+
+def test_points_at_which_the_arm_stands_may_be_far_apart(bundled):
+    points = [{**point, "velocities": [0.0] * 3, "accelerations": [0.0] * 3} for point in sampled(12)]
+    motion = armctl.JointTrajectory.from_ros({"joint_names": NAMES, "points": points}, bundled)
+    assert np.abs(motion.sample(motion.knots).v).max() < 1e-12
+
+
+class Message:
+    """As rosidl makes it."""
+
+    joint_names = NAMES
+    points = STAMPED
+
+    def get_fields_and_field_types(self) -> dict[str, str]:
+        return {"joint_names": "sequence<string>", "points": "sequence<trajectory_msgs/JointTrajectoryPoint>"}
+
+
+def test_an_object_of_rclpy_is_refused_with_the_function_that_makes_a_dict_of_it(bundled):
+    with pytest.raises(armctl.InputError, match=r"expected a dict, .*message_to_ordereddict") as caught:
+        armctl.JointTrajectory.from_ros(Message(), bundled)
     assert len(str(caught.value)) <= 400

@@ -296,7 +296,8 @@ class JointTrajectory:
 
         The motion passes through all points with their velocities and accelerations, and starts at the first one. What the
         message does not contain is chosen such that velocity and acceleration are continuous. The limits of the arm are checked
-        by `check_limits`; here, only positions far outside, such as degrees, are refused.
+        by `check_limits`; here, only positions far outside, such as degrees, are refused, and velocities or accelerations whose
+        sum over time is ten times the change of what they are the rate of.
 
         Args:
             source: The file, .json or .yaml, or the message as a dict; also a message around it, such as a RobotTrajectory.
@@ -309,9 +310,15 @@ class JointTrajectory:
             NotInstalledError: YAML needs the extra `ros`.
         """
         check_arm(arm)
+        if hasattr(source, "get_fields_and_field_types") or hasattr(source, "joint_names"):
+            raise InputError(
+                f"message: expected a dict, got an object {shown(source)}; "
+                "rosidl_runtime_py.message_to_ordereddict makes a dict of it"
+            )
         points = ros.waypoints(source if isinstance(source, Mapping) else ros.load(source))
         order = ros.joint_order(points, arm.joint_names)
         arm.check_units("message: positions", points.q[:, order], "messages of ROS have rad and m")
+        ros.check_rates(points)
         pieces = ros.pieces(points)
         return JointTrajectory(pieces.knots, pieces.coefficients[:, :, order], arm.joint_names, arm.limits, units=arm.units)
 

@@ -20,8 +20,16 @@ _MAX_BYTES = 200_000_000
 _MAX_SECONDS = 1e6
 _MAX_NESTING = 4  # of messages around a trajectory
 _FLOATING = "multi_dof_joint_trajectory"
+_SAME_TIME_S = 5e-10  # half of the unit of a stamp
 _REPEATED = 1e-9  # rad, rad/s, ...: by which a repeated point, or a joint that stands, may differ
 _MAX_VALUE = 1e9  # SI units; more is a damaged number
+_SECONDS = ("sec", "secs")  # of ROS 2, of ROS 1
+_NANOSECONDS = ("nanosec", "nsecs", "nsec")
+# Rates and values of coarse points agree to a factor of two or so; degrees differ by 57, and milliseconds by 1000.
+_MAX_RATE_RATIO = 10.0
+_MIN_CHECKED_WAY = 0.1  # rad or m (rad/s or m/s): rates of less may be noise
+_MIN_CHECKED_POINTS = 3
+_PER_DEGREE = 57.3
 
 
 class Waypoints(NamedTuple):
@@ -77,8 +85,8 @@ def _yaml() -> Any:
 def waypoints(content: object) -> Waypoints:
     """The points of a message, or of the only one inside a message around it; InputError for whatever is no JointTrajectory."""
     content = _unwrapped(content)
-    names = content.get("joint_names")
-    points = content.get("points")
+    names = _as_list(content.get("joint_names"))
+    points = _as_list(content.get("points"))
     if not isinstance(names, Sequence) or isinstance(names, str) or not all(isinstance(name, str) for name in names):
         raise InputError("message: it is not a JointTrajectory, since it has no list of joint_names")
     if not isinstance(points, Sequence) or isinstance(points, str) or not points:
@@ -93,6 +101,10 @@ def waypoints(content: object) -> Waypoints:
     v = _rates("velocities", table["velocities"], len(names))
     a = None if v is None else _rates("accelerations", table["accelerations"], len(names))
     return _distinct(Waypoints(tuple(names), times, _rows("positions", table["positions"], len(names)), v, a))
+
+
+def _as_list(value: object) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _unwrapped(content: object) -> Mapping[str, Any]:
@@ -127,9 +139,11 @@ def _distinct(points: Waypoints) -> Waypoints:
     if len(steps) and not points.times.any():
         raise InputError("message: time_from_start is 0 in all points; armctl.move_through(arm, positions) chooses their times")
     keep = np.ones(len(points.times), dtype=bool)
-    for k in np.flatnonzero(steps <= 0.0) + 1:
+    for k in np.flatnonzero(steps < _SAME_TIME_S) + 1:
         columns = [column for column in (points.q, points.v, points.a) if column is not None]
-        repeats = steps[k - 1] == 0.0 and all(np.abs(column[k] - column[k - 1]).max() <= _REPEATED for column in columns)
+        repeats = abs(steps[k - 1]) < _SAME_TIME_S and all(
+            np.abs(column[k] - column[k - 1]).max() <= _REPEATED for column in columns
+        )
         if not repeats:
             raise InputError(
                 f"message: point {k}: its time_from_start, {points.times[k]:g} s, is not after that of the point before; "
@@ -165,6 +179,42 @@ def _common_prefix(given: Sequence[str], joint_names: Sequence[str]) -> str:
     return prefixes.pop() if len(prefixes) == 1 else ""
 
 
+def check_rates(points: Waypoints) -> None:
+    """Refuses velocities and accelerations that are not those of the positions, as numbers in degrees or milliseconds are."""
+    if len(points.times) < _MIN_CHECKED_POINTS or points.v is None:
+        return
+    position_ways = np.ptp(points.q, axis=0)
+    velocity_ways = _ways(points.times, points.v)
+    _refuse_other_units(points.joint_names, "velocities", velocity_ways, "positions", position_ways)
+    moving = position_ways > _MIN_CHECKED_WAY
+    ratios = _PER_DEGREE * velocity_ways[moving] / position_ways[moving]
+    if len(ratios) and (ratios > 0.5).all() and (ratios < 2.0).all():
+        raise InputError(
+            f"message: the positions move {1 / np.median(ratios / _PER_DEGREE):.3g} times as far as the velocities lead; are "
+            "they degrees? messages of ROS have rad, rad/s and s, and may leave velocities out"
+        )
+    if points.a is not None:
+        _refuse_other_units(
+            points.joint_names, "accelerations", _ways(points.times, points.a), "velocities", np.ptp(points.v, axis=0)
+        )
+
+
+def _ways(times: Array, rates: Array) -> Array:
+    """(n,) the range of the integral of each joint's rate, by the trapezoidal rule."""
+    steps = 0.5 * np.diff(times)[:, None] * (rates[1:] + rates[:-1])
+    return np.ptp(np.vstack([np.zeros_like(rates[:1]), np.cumsum(steps, axis=0)]), axis=0)
+
+
+def _refuse_other_units(names: Sequence[str], rate: str, by_rate: Array, value: str, by_value: Array) -> None:
+    wrong = (by_rate > _MIN_CHECKED_WAY) & (by_rate > _MAX_RATE_RATIO * by_value)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise InputError(
+            f"message: {names[k]:.80}: its {rate} add up to {by_rate[k]:.3g}, but its {value} change by {by_value[k]:.3g}; "
+            f"degrees or milliseconds? messages of ROS have rad, rad/s, rad/s^2 and s, and may leave {rate} out"
+        )
+
+
 def pieces(points: Waypoints) -> Pieces:
     """A motion through the points that is continuous in position, velocity and acceleration.
 
@@ -196,12 +246,13 @@ def _accelerations(t: Array, q: Array, v: Array) -> Array:
 def _entry(k: int, point: object, name: str) -> Any:
     if not isinstance(point, Mapping):
         raise InputError(f"message: point {k}: {shown(point)} is not a table")
-    return point.get(name, ())
+    value = point.get(name)
+    return () if value is None else value
 
 
 def _rates(name: str, rows: list[Any], n: int) -> Array | None:
     """The rows, or None if every row is empty; a message leaves out what it does not know."""
-    if all(isinstance(row, Sequence) and not row for row in rows):
+    if all(isinstance(row, Sequence | np.ndarray) and not len(row) for row in rows):
         return None
     return _rows(name, rows, n)
 
@@ -219,5 +270,9 @@ def _seconds(k: int, stamp: object) -> float:
         return number(f"{what}: s", float(stamp) if not isinstance(stamp, bool) else stamp, 0.0, _MAX_SECONDS)
     if not isinstance(stamp, Mapping):
         raise InputError(f"{what}: expected seconds, or a stamp with sec and nanosec, got {shown(stamp)}")
-    whole = number(f"{what}: sec", stamp.get("sec", stamp.get("secs", 0)), 0.0, _MAX_SECONDS)
-    return whole + 1e-9 * integer(f"{what}: nanosec", stamp.get("nanosec", stamp.get("nsecs", 0)), 0, 999_999_999)
+    unknown = [name for name in stamp if name not in _SECONDS + _NANOSECONDS]
+    if unknown or not stamp:
+        raise InputError(f"{what}: expected sec and nanosec, got {shown(unknown[0]) if unknown else 'an empty table'}")
+    whole = next((stamp[name] for name in _SECONDS if name in stamp), 0)
+    rest = next((stamp[name] for name in _NANOSECONDS if name in stamp), 0)
+    return number(f"{what}: sec", whole, 0.0, _MAX_SECONDS) + 1e-9 * integer(f"{what}: nanosec", rest, 0, 999_999_999)
