@@ -29,7 +29,7 @@ class MPCCounts(NamedTuple):
         planned: Those in which the motion of computed torque would have exceeded a limit within the horizon.
         unplanned: Those of them without a plan: the solver found none, and the last plan goes on; a joint is outside of its
             range; or the error is so large that its feedback asks for more than the limit of velocity. The program of the tick
-            alone then keeps the limits.
+            alone then keeps the limits of torque, and the others unless they contradict those.
         relaxed: Those of them whose plan exceeds limits of velocity or position by the least, because limits contradict each
             other.
     """
