@@ -8,7 +8,7 @@ from armctl.core.result import Verdict
 from armctl.core.units import length_text
 from armctl.core.validation import Array, BoolArray, IntArray, TextArray
 
-_FAR_M = 10.0  # more than any arm reaches: such a target was probably meant in millimetres
+FAR_M = 10.0  # more than any arm reaches: such a target was probably meant in millimetres
 # rad, and m of an arm that reaches 1 m or more, else reaches. An unreachable target is rarely missed by so little, but a search
 # near a singular configuration ends there: rounding of 1e-16 moves the joints by its square root.
 NEAR_ROUNDING = 1e-6
@@ -107,7 +107,7 @@ def failure_reason(out_of_reach: bool, position_error: float, orientation_error:
         errors = f"{position_error:.2g} m and {orientation_error:.2g} rad"
         return f"reached up to {errors}, which is near rounding; give larger tolerances"
     if out_of_reach:
-        units = "; positions are in metres" if position_error > _FAR_M else ""
+        units = "; positions are in metres" if position_error > FAR_M else ""
         return f"out of reach by {length_text(position_error)}{units}"
     if orientation_error > 0:
         least = f"{orientation_error:.3g} rad off in the best of {starts} starts"

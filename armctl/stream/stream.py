@@ -18,6 +18,7 @@ from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array, flag, instance, integer, matrix, number, shown, vector
 from armctl.ik.differential import DifferentialIk
+from armctl.ik.result import FAR_M
 from armctl.ik.solve import solve_ik
 from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState
@@ -245,13 +246,17 @@ class Stream:
 
         Raises:
             InputError: As for `push`.
+            LimitError: The target is more than 10 m out of reach, as one in millimetres; nothing changes.
         """
         time = self._time("t", t)
         goal = Target.read(target)
         if self._device is not None and goal.pose is not None:
             goal = Target.read(self._reanchored(goal.pose), goal.tolerance, goal.angle_tolerance)
         last = self._targets.rest
-        q = solve_ik(self._arm, goal, last).q
+        solution = solve_ik(self._arm, goal, last)
+        if solution.position_error > FAR_M:
+            raise LimitError(f"target: {solution.reason}")
+        q = solution.q
         position_error, angle = goal.distance(self._arm.fk(last))
         if np.abs(q - last).max() > _POSTURE_CHANGE and position_error < _SMALL_STEP_M and angle < _SMALL_STEP_RAD:
             q = self._limits.clamp(last + self._targets.interval * self._ik.step(last, goal, self._targets.interval))

@@ -410,3 +410,14 @@ def test_the_pieces_are_the_motion_from_now_on(arm):
 def arm_before_a_wall(arm) -> armctl.Arm:
     ahead = arm.fk(arm.home + np.array([0.8, 0.0, 0.0])).position
     return armctl.load("robot_arm_3dof", scene=armctl.Scene().add_box("wall", [0.1, 0.1, 0.6], ahead))
+
+
+@pytest.mark.parametrize("far", [[400.0, 0.0, 0.0], [300.0, 100.0, 250.0], [0.0, 0.0, -1e9]])
+def test_a_target_that_no_arm_reaches_is_refused_and_changes_nothing(bundled, far):
+    stream = armctl.Stream(bundled, bundled.home)
+    stream.push_pose(0.1, [0.3, 0.1, 0.3])
+    with pytest.raises(armctl.LimitError, match="positions are in metres"):
+        stream.push_pose(0.2, far)
+    other = armctl.Stream(bundled, bundled.home)
+    other.push_pose(0.1, [0.3, 0.1, 0.3])
+    assert np.array_equal([stream.step(0.004).q for _ in range(200)], [other.step(0.004).q for _ in range(200)])
