@@ -86,7 +86,7 @@ def main() -> None:
         print(table_of_laws([row for name, each in cases.items() for row in against_clipped(name, each)[1]], args.motions))
         return
     with tempfile.TemporaryDirectory() as folder:
-        arms = {name: serial_arm(Path(folder), BENT[name]) for name in ("six joints", "redundant")}
+        arms = {name: serial_arm(Path(folder), BENT[name], shapes="capsules") for name in ("six joints", "redundant")}
         arms = {"robot_arm_3dof": armctl.load("robot_arm_3dof"), **arms}
         text = "\n\n".join([*study(arms, args.motions, args.offline), cost(arms)]) + "\n"
     args.out.write_text(text, encoding="utf-8")
