@@ -19,6 +19,7 @@ from armctl.sim.plant import Plant, apply_plant, brake, held_dofs
 _ROLLOUTS_AT_ONCE = 16  # bounds the memory of their states
 _SOLVER_TOLERANCE = 1e-12  # of dry friction, so that finite differences show parameters and not its rounding
 _MIN_BACKLASH = 1e-6  # rad, of a joint that has a rotor in the model
+FINER = 4  # times the steps of the arm, in the limit of short ones
 _LOST = 1e3  # rad, instead of positions that are not finite
 
 
@@ -46,16 +47,16 @@ class ServoParameters:
 
 
 class ServoSimulation:
-    """Rollouts of an arm; with `gaps`, motors are bodies of their own, as in plants with backlash; `finer` divides steps."""
+    """Rollouts of an arm; with `gaps`, motors are bodies of their own, as in plants with backlash."""
 
-    def __init__(self, arm: Arm, dt: float, gaps: bool, finer: int = 1):
+    def __init__(self, arm: Arm, dt: float, gaps: bool):
         self.arm = arm
         self.gaps = gaps
         geared = Plant(backlash=_MIN_BACKLASH if gaps else 0.0)
         model = new_model([arm], geared)
         apply_plant(model, mujoco.MjData(model), Plant(), [arm])  # its masses and places are the arm's, not the file's
         self._train = drivetrain_of([arm], geared)
-        self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9)) * finer  # from one sample to the next
+        self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9))  # from one sample to the next
         model.opt.timestep = dt / self._steps
         # A plant has no reset: unstable candidates end in numbers that are not finite. Contacts would take most of the time.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -70,10 +71,31 @@ class ServoSimulation:
         self._model = model
         self._data = mujoco.MjData(model)
 
-    def positions(self, candidates: list[ServoParameters], log: Log) -> Array:
-        """(B, T, n) rad, the measured positions along a recording's commands for each candidate."""
+    def limit(self, candidates: list[ServoParameters], log: Log, starts: Array | None = None, finer: int = FINER) -> Array:
+        """(B, T, n) rad, the measured positions without the error of first order that steps have.
+
+        Args:
+            candidates: B parameters.
+            log: The recording with the commands.
+            starts: (B, n) rad, the measured positions of each at the start, at rest; the first of the recording if None.
+            finer: By what steps are divided, and by half of which again: Richardson's extrapolation (1911) from both.
+        """
+        once, twice = (self._divided(each).positions(candidates, log, starts) for each in (finer // 2, finer))
+        return 2.0 * twice - once
+
+    def _divided(self, by: int) -> ServoSimulation:
+        finer = copy.copy(self)
+        finer._steps = by * self._steps
+        finer._model = copy.copy(self._model)
+        finer._model.opt.timestep /= by
+        return finer
+
+    def positions(self, candidates: list[ServoParameters], log: Log, starts: Array | None = None) -> Array:
+        """(B, T, n) rad, the measured positions along a recording's commands for each candidate, in the arm's steps."""
         from mujoco import rollout
 
+        offsets = np.array([each.offset for each in candidates])
+        links = (log.q[0] if starts is None else starts) - offsets
         found = np.empty((len(candidates), len(log), self.arm.n))
         threads = [mujoco.MjData(self._model) for _ in range(min(len(candidates), os.cpu_count() or 1))]
         for first in range(0, len(candidates), _ROLLOUTS_AT_ONCE):
@@ -81,14 +103,14 @@ class ServoSimulation:
             states, _ = rollout.rollout(
                 [self.model(each) for each in part],
                 threads,
-                np.array([self._start(log, each) for each in part]),
+                np.array([self._start(q) for q in links[first : first + len(part)]]),
                 np.array([self._controls(log, each.delay) for each in part]),
             )
             columns = 1 + self._train.motor_qpos  # behind the time
             moved = np.asarray(states)[:, self._steps - 1 :: self._steps, columns]
             found[first : first + len(part), 1:] = np.where(np.isfinite(moved), np.clip(moved, -_LOST, _LOST), _LOST)
-            found[first : first + len(part), 0] = [log.q[0] - each.offset for each in part]
-        return found + np.array([each.offset for each in candidates])[:, None]
+        found[:, 0] = links
+        return found + offsets[:, None]
 
     def model(self, parameters: ServoParameters) -> mujoco.MjModel:
         """The model with position servos on its joints; all other joints are braked."""
@@ -107,10 +129,9 @@ class ServoSimulation:
         brake(model, held_dofs(self.arm))
         return model
 
-    def _start(self, log: Log, parameters: ServoParameters) -> Array:
+    def _start(self, q: Array) -> Array:
         kind = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_resetData(self._model, self._data)
-        q = log.q[0] - parameters.offset
         self._data.qpos[: self.arm.model.nq] = self.arm.qpos(q)
         self._data.qpos[self._train.motor_qpos] = q
         state = np.empty(mujoco.mj_stateSize(self._model, kind))
