@@ -200,10 +200,10 @@ def _fits(t: Array, q: Array) -> Array:
     counts = np.minimum(_COUNTS, len(t))
     degrees = np.minimum(_DEGREES, 1) if len(t) < _MIN_FOR_CURVATURE else _DEGREES
     u = (t - t[-1])[::-1]
-    powers = u ** np.arange(5)[:, None]
-    span = np.where(counts > 1, -u[counts - 1], 1.0)[:, None] ** np.arange(
-        5
-    )  # of time, which makes the equations free of units
+    orders = np.arange(5)
+    powers = u ** orders[:, None]
+    # Powers of the time that a fit spans: they make the equations free of units.
+    span = np.where(counts > 1, -u[counts - 1], 1.0)[:, None] ** orders
     sums = np.cumsum(powers, axis=1)[:, counts - 1].T / span  # (F, 5)
     right = np.cumsum(powers[:3, :, None] * q[::-1], axis=1)[:, counts - 1].swapaxes(0, 1) / span[:, :3, None]
     used = np.arange(3) <= degrees[:, None]

@@ -310,6 +310,8 @@ class JointTrajectory:
             NotInstalledError: YAML needs the extra `ros`.
         """
         check_arm(arm)
+        if isinstance(source, JointTrajectory):
+            raise InputError("message: it is a motion of armctl already; `to_ros` makes a message of it")
         if hasattr(source, "get_fields_and_field_types") or hasattr(source, "joint_names"):
             raise InputError(
                 f"message: expected a dict, got an object {shown(source)}; "
