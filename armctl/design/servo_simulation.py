@@ -80,7 +80,8 @@ class ServoSimulation:
             starts: (B, n) rad, the measured positions of each at the start, at rest; the first of the recording if None.
             finer: By what steps are divided, and by half of which again: Richardson's extrapolation (1911) from both.
         """
-        once, twice = (self._divided(each).positions(candidates, log, starts) for each in (finer // 2, finer))
+        once = self._divided(finer // 2).positions(candidates, log, starts)
+        twice = self._divided(finer).positions(candidates, log, starts)
         return 2.0 * twice - once
 
     def _divided(self, by: int) -> ServoSimulation:

@@ -209,7 +209,9 @@ class Transcription:
 
     def torques(self, at: States) -> tuple[Array, Array]:
         """(R, n) N m, and their derivatives (R, n, x)."""
-        q, v, a = (each.values for each in at)
+        q = at.q.values
+        v = at.v.values
+        a = at.a.values
         n = self._n
         smooth = self._inverse_dynamics.smooth
 
