@@ -188,19 +188,23 @@ def random_cases(arm: armctl.Arm, motions: int) -> list[tuple[armctl.Arm, armctl
     """Free motions between random configurations, each with a weakened arm."""
     rng = np.random.default_rng(11)
     cases: list[tuple[armctl.Arm, armctl.JointTrajectory]] = []
-    rest = np.zeros(arm.n)
     while len(cases) < motions:
         motion = armctl.move_j(arm, *arm.limits.random(arm.home, 2, rng))
         if not armctl.check_clearance(arm, motion):
             continue
         setpoints = motion.sample(np.arange(0.0, motion.duration, 0.002))
-        steady = np.max(
-            [np.abs(arm.inverse_dynamics(q, v, rest)) for q, v in zip(setpoints.q, setpoints.v, strict=True)], axis=0
-        )
-        moving = np.max([np.abs(arm.inverse_dynamics(*each)) for each in zip(*setpoints[:3], strict=True)], axis=0)
+        steady = largest_torques(arm, setpoints.q, setpoints.v, np.zeros_like(setpoints.a))
+        moving = largest_torques(arm, *setpoints[:3])
         tau_max = np.minimum(arm.limits.tau_max, steady + SHARES[len(cases) % len(SHARES)] * (moving - steady))
         cases.append((arm.with_limits(replace(arm.limits, tau_max=tau_max)), motion))
     return cases
+
+
+def largest_torques(arm: armctl.Arm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Of each joint along a motion, N m, with dry friction: a motor that is weaker than it moves nothing."""
+    dry_friction = arm.model.dof_frictionloss[arm.dof_adr] * np.sign(v)
+    inertial = [arm.inverse_dynamics(*each) for each in zip(q, v, a, strict=True)]
+    return np.max(np.abs(inertial + dry_friction), axis=0)
 
 
 def run(make, weak: armctl.Arm, motion: armctl.JointTrajectory) -> armctl.Log:

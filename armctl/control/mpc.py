@@ -27,9 +27,8 @@ class MPCCounts(NamedTuple):
     Attributes:
         ticks: All ticks.
         planned: Those in which the motion of computed torque would have exceeded a limit within the horizon.
-        unplanned: Those of them without a plan: the solver found none, and the last plan goes on; a joint is outside of its
-            range; or the error is so large that its feedback asks for more than the limit of velocity. The program of the tick
-            alone then keeps the limits of torque, and the others unless they contradict those.
+        unplanned: Those of them without a plan: the solver found none, and the last plan goes on; or a joint is outside of its
+            range. The program of the tick alone then keeps the limits of torque, and the others unless they contradict those.
         relaxed: Those of them whose plan exceeds limits of velocity or position by the least, because limits contradict each
             other.
     """
@@ -44,10 +43,11 @@ class MPC(ComputedTorqueQP):
     """Model predictive control: plans the acceleration over a horizon, within the limits of torque, velocity and position.
 
     While the motion of computed torque respects all limits within the horizon, the law is computed torque. Otherwise a
-    quadratic program adds accelerations c, linear in each of ten blocks of the horizon, that minimize what the limits add to
-    the quadratic cost of the tip's errors (see `armctl/cpp/laws/mpc.hpp`). The model is that of inverse dynamics, linearized
-    along the motion of computed torque at every tick. A simulation passes the reference of the next ticks on, so the arm
-    accelerates before a torque limit becomes active; without it, the reference is extrapolated at constant velocity.
+    quadratic program adds accelerations c, linear in each of ten blocks of the horizon, that minimize their squares and those
+    of the tip's errors that the limits add (see `armctl/cpp/laws/mpc.hpp`). The model is that of inverse dynamics, linearized
+    along the last plan at every tick. A simulation passes the reference of the next ticks on, so the arm accelerates before a
+    torque limit becomes active; without it, the reference is extrapolated at constant velocity. A setpoint from which the
+    feedback would ask for more than twice the limit of velocity is moved nearer.
 
     The program of `ComputedTorqueQP` then keeps the limits of the tick itself, and brakes before the end of a joint's range.
     `counts` reports limits that contradict each other, and ticks without a plan. A reference outside of the range of a joint is

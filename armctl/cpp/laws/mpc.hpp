@@ -8,15 +8,16 @@ namespace armctl {
 // would move the torque of a long block out of its limits.
 //
 // Computed torque makes every joint a double integrator, so errors depend linearly on c, with coefficients that do not change. c = 0
-// is computed torque. The plan minimizes the squares of the errors of the tip that c adds, times the stiffness, and a small share of
-// the squares of c itself, subject to
+// is computed torque. The plan minimizes the squares of c and of the errors of the tip that c adds, times the stiffness, subject to
 //
 //     -tau_max <= M a + h <= tau_max,    -v_max <= v <= v_max,    q_min <= q <= q_max
 //
-// the torques at the first tick of each block, the others at its last one, for M and h of the motion that c = 0 gives; and their
-// change from block to block, which is at most the torque rate times the time between. Torques change with c by M and by the linear
-// damping of the joints. Where limits contradict each other, those of velocity and position that c = 0 exceeds become costs. Without
-// a solution the last plan goes on. The program of ComputedTorqueQP keeps the limits of the tick, and those of position beyond.
+// the torques at the first tick of each block, the others at its last one; and the change of the torques from block to block, which is
+// at most the torque rate times the time between. The torques are linearized along the plan of the last tick, shifted by one tick, which
+// is one step of sequential quadratic programming per tick (the real-time iteration of Diehl, Bock, Schloeder, "A real-time iteration
+// scheme for nonlinear optimization in optimal feedback control", SIAM J. Control Optim. 43, 2005): c = 0 is no motion to linearize
+// along where errors are large. Where limits contradict each other, those of velocity and position that c = 0 exceeds become costs.
+// Without a solution the last plan goes on. The program of ComputedTorqueQP keeps the limits of the tick, and those of position beyond.
 class MPC final : public Cloneable<MPC, ComputedTorqueQP> {
 public:
     // The gains are those of ComputedTorqueQP, `blocks` (k,), the ticks of each block, at least 2, and `torque_rate` (n,) N m/s.
@@ -30,7 +31,7 @@ public:
     }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
-        ComputedTorqueQP::torque(state, attainable(setpoint), tau);
+        ComputedTorqueQP::torque(state, attainable(state, setpoint), tau);
         const Result last = memory(counters, joints());
         for (size_t i = 0; i < joints(); ++i) {
             const double change = torque_rate_[i] * dt_;
@@ -48,11 +49,12 @@ private:
     static constexpr size_t counters = 4;
     // In the measure of the tip, for the program of the tick as well: joints that cost less go so far astray that no plan leads back.
     static constexpr double joint_weight = 0.1;
+    // Relative to the limits of velocity, that the feedback of an error asks for: farther setpoints are moved nearer. With 1, errors of
+    // motions that run away decay late; with 4, targets that jump by 2 rad let the arm circle around them.
+    static constexpr double farthest_speed = 2.0;
+    static constexpr double slope_step = 1e-6;  // rad and rad/s, of the differences that give the derivatives of the torques
     // Limits of velocity and position that are farther away than this share of their range are not part of the program.
     static constexpr double near_limit = 0.15;
-    // Of the squares of c. They alone are the feedback's own cost (Rossiter, Kouvaritakis, Rice, Automatica 34, 1998), which spends errors
-    // to save accelerations. With a limit of the torque rate it remains: the end of c must not ask for a jump of the torque.
-    static constexpr double added_weight = 0.1;
     // Of the torque limit, with a plan: the torque that is left at present says little about the place where the joint has to stop.
     // 0.25 gives the same errors; with 0.05 the arm brakes in motions that it can follow.
     static constexpr double planned_brake_share = 0.5;
@@ -74,12 +76,15 @@ private:
         std::vector<Response> of;  // the blocks' c, the error and the rate at the start
     };
 
-    // The setpoint within the range of the joints.
-    Setpoint attainable(const Setpoint& setpoint) {
+    // The setpoint within the range of the joints, and not so far away that no plan is near the motion that the error's feedback asks for.
+    Setpoint attainable(const State& state, const Setpoint& setpoint) {
         Setpoint result = setpoint;
         for (size_t i = 0; i < joints(); ++i) {
-            q_target_[i] = std::min(std::max(setpoint.q[i], q_min_[i]), q_max_[i]);
-            const bool is_inside = q_target_[i] == setpoint.q[i];
+            const double inside = std::min(std::max(setpoint.q[i], q_min_[i]), q_max_[i]);
+            const double farthest = farthest_speed * damping_ / stiffness_ * v_max_[i];
+            q_target_[i] = std::min(std::max(inside, state.q[i] - farthest), state.q[i] + farthest);
+            too_far_[i] = inside - q_target_[i];
+            const bool is_inside = inside == setpoint.q[i];
             v_target_[i] = is_inside ? setpoint.v_tick[i] : 0.0;
             a_target_[i] = is_inside ? setpoint.a_tick[i] : 0.0;
         }
@@ -89,13 +94,16 @@ private:
         return result;
     }
 
-    static size_t memory_size(size_t n, size_t blocks) { return counters + n + n * blocks + 1; }
+    static size_t memory_size(size_t n, size_t blocks) { return counters + n + n * blocks; }
     size_t blocks() const { return ticks_.size(); }
     size_t size() const { return blocks() * joints(); }
-    Result c() { return memory(counters + joints(), size()); }        // of each block, from the last solution
-    double& age() { return memory()[counters + joints() + size()]; }  // ticks since that solution
+    Result c() { return memory(counters + joints(), size()); }  // of each block
 
     // The responses of errors of a joint in closed loop, and the cost of c, which counts errors for as long again after the horizon.
+    //
+    // The squares of c are the feedback's own cost (Rossiter, Kouvaritakis, Rice, "A numerically robust state-space approach to stable-
+    // predictive control strategies", Automatica 34, 1998). They alone spend errors to save accelerations; a tenth of them, and plans end
+    // where no torque leads back. With a limit of the torque rate they remain alone: the end of c must not ask for a jump of the torque.
     void predict(double position_step) {
         std::vector<Response> now(blocks() + 2);
         now[blocks()].error = 1.0;
@@ -112,7 +120,7 @@ private:
                 for (size_t i = 0; i < blocks(); ++i) {
                     for (size_t j = 0; j < blocks(); ++j) {
                         if (rates_ == 0) { squares_(i, j) += stiffness_ * stiffness_ * now[i].error * now[j].error; }
-                        squares_(i, j) += added_weight * weight(i, tick) * weight(j, tick);
+                        squares_(i, j) += weight(i, tick) * weight(j, tick);
                     }
                 }
                 for (Response& each : now) {
@@ -136,41 +144,58 @@ private:
     }
 
     void plan(const State& state, const Setpoint& setpoint, Result tau) override {
-        for (size_t i = 0; i < joints(); ++i) { H_(i, i) += joint_weight * joint_weight * length_ * length_; }
-        if (dt_ == 0.0) { return; }
         for (size_t i = 0; i < joints(); ++i) {
             error_[i] = setpoint.q[i] - state.q[i];
             rate_[i] = setpoint.v_tick[i] - state.v[i];
+            H_(i, i) += joint_weight * joint_weight * length_ * length_;
         }
-        const bool is_far = this->is_far(state);
-        bool is_limited = is_far;
-        for (size_t k = 0; k < nodes_.size() && !is_far; ++k) { is_limited = add_node(k, setpoint, tau) || is_limited; }
-        min_brake_share_ = is_far ? min_brake_share : planned_brake_share;
-        memory()[1] += is_limited ? 1.0 : 0.0;
-        memory()[2] += is_far ? 1.0 : 0.0;
-        if (!is_limited || is_far) {
+        if (dt_ == 0.0) { return; }
+        const bool is_outside = this->is_outside(state);
+        min_brake_share_ = is_outside ? min_brake_share : planned_brake_share;
+        if (is_outside) {
+            memory()[1] += 1.0;
+            memory()[2] += 1.0;
             std::ranges::fill(c(), 0.0);
             return;
         }
+        shift();
+        bool is_limited = add_nodes(setpoint, tau);
+        if (!is_limited && std::ranges::any_of(c(), [](double each) { return each != 0.0; })) {
+            std::ranges::fill(c(), 0.0);
+            is_limited = add_nodes(setpoint, tau);
+        }
+        if (!is_limited) { return; }
+        memory()[1] += 1.0;
         const QuadraticProgram program = this->program();
-        if (solver_.solve(program, c())) {
-            age() = 0.0;
-        } else if (solver_.solve_relaxed(program, violation_weights(), c())) {
-            memory()[3] += 1.0;
-            age() = 0.0;
-        } else {
-            memory()[2] += 1.0;
-            age() += 1.0;
-            min_brake_share_ = min_brake_share;
+        if (!solver_.solve(program, c())) {
+            if (solver_.solve_relaxed(program, violation_weights(), c())) {
+                memory()[3] += 1.0;
+            } else {
+                memory()[2] += 1.0;
+                min_brake_share_ = min_brake_share;
+            }
         }
         for (size_t i = 0; i < joints(); ++i) {
-            added_[i] = 0.0;
-            for (size_t block = 0; block < blocks(); ++block) {
-                added_[i] += weight(block, static_cast<size_t>(age())) * c()[block * joints() + i];
-            }
+            added_[i] = c()[i];
             desired_[i] += added_[i];
         }
         for (size_t i = 0; i < joints(); ++i) { tau[i] = dot(M_.row(i), added_, tau[i]); }
+    }
+
+    // The plan of the last tick, seen from this one.
+    void shift() {
+        const size_t n = joints();
+        for (size_t block = 0; block + 1 < blocks(); ++block) {
+            const double share = 1.0 / static_cast<double>(ticks_[block]);
+            for (size_t i = 0; i < n; ++i) { c()[block * n + i] += share * (c()[(block + 1) * n + i] - c()[block * n + i]); }
+        }
+    }
+
+    // Makes the rows of the program: whether c = 0 exceeds a limit.
+    bool add_nodes(const Setpoint& setpoint, Vector tau) {
+        bool is_limited = false;
+        for (size_t k = 0; k < nodes_.size(); ++k) { is_limited = add_node(k, setpoint, tau) || is_limited; }
+        return is_limited;
     }
 
     // Adds the rows of a node to the program: whether c = 0 exceeds a limit there.
@@ -180,7 +205,7 @@ private:
         const Response& of_error = node.of[blocks()];
         const Response& of_rate = node.of[blocks() + 1];
         for (size_t i = 0; i < n; ++i) {
-            double q_ref = setpoint.q[i] + static_cast<double>(node.tick) * dt_ * setpoint.v_tick[i];
+            double q_ref = setpoint.q[i] + too_far_[i] + static_cast<double>(node.tick) * dt_ * setpoint.v_tick[i];
             double v_ref = setpoint.v_tick[i];
             double a_ref = node.tick == 0 ? setpoint.a_tick[i] : 0.0;
             if (setpoint.q_ahead.rows > 0) {
@@ -189,7 +214,7 @@ private:
                 v_ref = setpoint.v_ahead(row, i);
                 a_ref = node.tick == row ? setpoint.a_ahead(row, i) : 0.0;
             }
-            q_ref = std::min(std::max(q_ref, q_min_[i]), q_max_[i]);
+            q_ref = std::min(std::max(q_ref, q_min_[i]), q_max_[i]) - too_far_[i];
             v_ref_[i] = v_ref;
             a_ref_[i] = a_ref;
             q_[i] = q_ref - of_error.error * error_[i] - of_rate.error * rate_[i];
@@ -200,6 +225,15 @@ private:
             copy(tau, tau_);
             inertia_ = M_;
         } else if (k % 2 == 0) {
+            for (size_t each = 0; each < blocks(); ++each) {
+                for (size_t i = 0; i < n; ++i) {
+                    const double last = c()[each * n + i];
+                    q_[i] -= node.of[each].error * last;
+                    v_[i] -= node.of[each].rate * last;
+                    a_[i] += node.of[each].acceleration * last;
+                }
+            }
+            find_slopes();
             period_.inverse_dynamics(q_, v_, a_, tau_);
             period_.add_friction(v_ref_, a_ref_, tau_);
             period_.mass_matrix(inertia_);
@@ -211,11 +245,13 @@ private:
         for (size_t i = 0; i < n; ++i) {
             const size_t row = block * 3 * n + i;
             if (k % 2 == 0) {
-                for (size_t each = 0; each < blocks(); ++each) {
-                    const double acceleration = node.of[each].acceleration;
-                    for (size_t j = 0; j < n; ++j) { rows_(row, each * n + j) = acceleration * inertia_(i, j); }
-                    rows_(row, each * n + i) -= period_.model().drives[i].damping.linear * node.of[each].rate;
+                for (size_t each = 0; each < blocks(); ++each) {  // c changes neither q nor v of the first tick
+                    const Response& of = node.of[each];
+                    for (size_t j = 0; j < n; ++j) {
+                        rows_(row, each * n + j) = of.acceleration * inertia_(i, j) - of.rate * of_v_(i, j) - of.error * of_q_(i, j);
+                    }
                 }
+                if (k > 0) { tau_[i] -= dot(rows_.row(row), c()); }
                 double lower = -tau_max_[i];
                 double upper = tau_max_[i];
                 if (rates_ > 0 && block == 0 && memory()[0] > 0.0) {
@@ -243,6 +279,23 @@ private:
             is_limited = set_bounds(row + 2 * n, q_[i] - q_max_[i], q_[i] - q_min_[i], near_limit) || is_limited;
         }
         return is_limited;
+    }
+
+    // The derivatives of the torques by positions and velocities.
+    void find_slopes() {
+        period_.inverse_dynamics(q_, v_, a_, tau_);
+        for (size_t j = 0; j < joints(); ++j) {
+            find_slope(j, q_, of_q_);
+            find_slope(j, v_, of_v_);
+        }
+    }
+
+    void find_slope(size_t j, Result x, MatrixResult slopes) {
+        const double here = x[j];
+        x[j] = here + slope_step;
+        period_.inverse_dynamics(q_, v_, a_, tau_of_step_);
+        x[j] = here;
+        for (size_t i = 0; i < joints(); ++i) { slopes(i, j) = (tau_of_step_[i] - tau_[i]) / slope_step; }
     }
 
     // Bounds of a row; whether zero is outside. A row that is farther from both than a share of their distance is left out.
@@ -280,13 +333,10 @@ private:
         return weights_;
     }
 
-    // Whether a joint is outside of its range: no plan keeps it then; the program of the tick brakes and brings it back. Or whether
-    // the feedback of an error asks for more than the limit of velocity: the motion without c is then so far from any that is
-    // possible that a linear model along it means nothing.
-    bool is_far(const State& state) const {
+    // Whether a joint is outside of its range: no plan keeps it then; the program of the tick brakes and brings it back.
+    bool is_outside(const State& state) const {
         for (size_t i = 0; i < joints(); ++i) {
             if (state.q[i] < q_min_[i] - position_tolerance || state.q[i] > q_max_[i] + position_tolerance) { return true; }
-            if (stiffness_ * std::abs(error_[i]) > damping_ * v_max_[i]) { return true; }
         }
         return false;
     }
@@ -299,9 +349,10 @@ private:
     ActiveSetSolver solver_;
     DenseMatrix squares_{blocks(), blocks()};  // of the weights of two blocks, summed over the horizon
     DenseMatrix inertia_ = square(), cost_{size(), size()}, rows_{3 * size() + rates_, size()};
-    Numbers q_target_ = zeros(), v_target_ = zeros(), a_target_ = zeros();
+    Numbers q_target_ = zeros(), v_target_ = zeros(), a_target_ = zeros(), too_far_ = zeros();
     Numbers error_ = zeros(), rate_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros(), v_ref_ = zeros(), a_ref_ = zeros(), tau_ = zeros(),
-            tau_before_ = zeros(), added_ = zeros();
+            tau_before_ = zeros(), tau_of_step_ = zeros(), added_ = zeros();
+    DenseMatrix of_q_ = square(), of_v_ = square();  // slopes of the torque
     Numbers lower_ = Numbers(4 * size() + rates_, -unbounded), upper_ = Numbers(4 * size() + rates_, unbounded);
     Numbers weights_ = Numbers(4 * size() + rates_);
 };
