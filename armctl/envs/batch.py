@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
 from armctl.core.pose import matrix_from_quat
 from armctl.core.validation import Array, BoolArray, as_array, choice, flag, instance, integer, matrix, shown, vector
@@ -260,6 +261,8 @@ class Batch:
         if "start" in options:
             start = self._of_each_row("options: start", options["start"], self.arm.n)
             start = np.array([self.arm.checked("options: start", q) for q in start])
+            if not (self.task.object or self.task.obstacle):  # what moves in a scene is elsewhere in each episode
+                self._require_free(start)
         return goal, start
 
     def _of_each_row(self, what: str, value: Any, size: int) -> Array:
@@ -277,6 +280,13 @@ class Batch:
             found = solve_ik(self.arm, goal)
             if not found.ok:
                 raise InputError(f"options: goal: {shown(goal.tolist())} m: {found.reason}")
+
+    def _require_free(self, starts: Array) -> None:
+        checker = collision_checker(self.arm)
+        for start in np.unique(starts, axis=0):
+            contact = checker.at(start)
+            if contact:
+                raise InputError(f"options: start: {shown(start.tolist())}: {contact}; choose one where nothing touches")
 
     def _move_goals(self) -> None:
         self.goal[:] = self.task.goals_at(self.goal_number, self.steps)

@@ -1,6 +1,7 @@
 """Options of `reset`: goal and start of an episode can be set, and everything else is refused."""
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 
@@ -75,6 +76,24 @@ def test_everything_else_is_refused(options, sentence):
     env = ArmEnv("robot_arm_3dof")
     with pytest.raises(armctl.InputError, match=sentence):
         env.reset(seed=3, options=options)
+
+
+def test_a_start_that_touches_something_is_refused():
+    """MuJoCo counts the contacts of random starts."""
+    env = ArmEnv("robot_arm_3dof")
+    arm = env.batch.arm
+    data = mujoco.MjData(arm.model)
+    refused = 0
+    for q in arm.limits.random(arm.home, 30, np.random.default_rng(4)):
+        data.qpos[:] = arm.qpos(q)
+        mujoco.mj_forward(arm.model, data)
+        if data.ncon == 0:
+            env.reset(seed=0, options={"start": q})
+        else:
+            refused += 1
+            with pytest.raises(armctl.InputError, match=r"options: start: .* touches "):
+                env.reset(seed=0, options={"start": q})
+    assert 0 < refused < 30
 
 
 def test_a_goal_that_moves_cannot_be_set():
