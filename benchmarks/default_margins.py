@@ -52,7 +52,7 @@ def cell(arm: armctl.Arm, plant: armctl.Plant, law: str, configurations: np.ndar
     found = [armctl.linearize(arm, law, q, plant).margins() for q in configurations]
     delay = min(each.delay_margin for each in found)
     sensitivity = max(each.peak_sensitivity for each in found)
-    is_declared = any(law in re.split(r", | and |: ", line) for line in exceptions)
+    is_declared = any(law in re.split(r", | and |: | at ", line) for line in exceptions)
     return f"{1e3 * delay:.2f} / {sensitivity:.2f}{' declared' if is_declared else ''}"
 
 
