@@ -102,8 +102,9 @@ private:
     // The responses of errors of a joint in closed loop, and the cost of c, which counts errors for as long again after the horizon.
     //
     // The squares of c are the feedback's own cost (Rossiter, Kouvaritakis, Rice, "A numerically robust state-space approach to stable-
-    // predictive control strategies", Automatica 34, 1998). They alone spend errors to save accelerations; a tenth of them, and plans end
-    // where no torque leads back. With a limit of the torque rate they remain alone: the end of c must not ask for a jump of the torque.
+    // predictive control strategies", Automatica 34, 1998). Without errors in the cost, the plan gives up the path to save accelerations;
+    // with only a tenth of the squares of c, it ends where no torque leads back. A limit of the torque rate allows no errors in the cost:
+    // the end of c would ask for a jump of the torque.
     void predict(double position_step) {
         std::vector<Response> now(blocks() + 2);
         now[blocks()].error = 1.0;
@@ -233,8 +234,7 @@ private:
                     a_[i] += node.of[each].acceleration * last;
                 }
             }
-            find_slopes();
-            period_.inverse_dynamics(q_, v_, a_, tau_);
+            find_torques();
             period_.add_friction(v_ref_, a_ref_, tau_);
             period_.mass_matrix(inertia_);
             period_.add_step_inertia(inertia_);
@@ -281,8 +281,8 @@ private:
         return is_limited;
     }
 
-    // The derivatives of the torques by positions and velocities.
-    void find_slopes() {
+    // The torques without friction, and their derivatives by positions and velocities.
+    void find_torques() {
         period_.inverse_dynamics(q_, v_, a_, tau_);
         for (size_t j = 0; j < joints(); ++j) {
             find_slope(j, q_, of_q_);
