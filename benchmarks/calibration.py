@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import armctl
 from armctl.analysis.iso9283_figures import accuracy
 
-sys.path.append(str(Path(__file__).parent.parent / "tests"))
+sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
 from synthetic import BENT, serial_arm
 
 RUNS = 200

@@ -18,7 +18,7 @@ from markdown_table import titled_table
 import armctl
 from armctl.control import CONTROLLERS
 
-sys.path.append(str(Path(__file__).parent.parent / "tests"))
+sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
 from instability import grows  # the test of the same statement uses it, too
 
 ROBOTS = "robot_arm_3dof,panda,iiwa14,kinova_gen3"

@@ -28,7 +28,7 @@ from offline_tracking import JOINT_INTERVAL_S, TORQUE_TOLERANCE, offline_error
 
 import armctl
 
-sys.path.append(str(Path(__file__).parent.parent / "tests"))
+sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
 from synthetic import BENT, serial_arm
 
 SHARES = (0.9, 0.7, 0.5)  # of the torque that accelerates the arm, besides that which keeps its speed

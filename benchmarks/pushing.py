@@ -20,7 +20,7 @@ from markdown_table import titled_table
 
 import armctl
 
-sys.path.append(str(Path(__file__).parent.parent / "tests"))
+sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
 from synthetic import arm_with_gripper
 
 ROOT = Path(__file__).parent.parent

@@ -22,7 +22,7 @@ from markdown_table import titled_table
 
 import armctl
 
-sys.path.append(str(Path(__file__).parent.parent / "tests"))
+sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
 from synthetic import BENT, serial_arm
 
 INTERVAL_S = 5e-3

@@ -22,7 +22,7 @@ if sanitized := os.environ.get("ARMCTL_SANITIZED_CORE"):  # `make sanitize` test
 import hypothesis
 import mujoco
 import pytest
-from arms import ARMS, MISSING, ROBOTS, arm_of
+from arms import ARMS, MISSING, ROBOTS, arm_of, some_of
 from robot_notes import RobotNotes
 from synthetic import mjcf
 
@@ -35,13 +35,13 @@ hypothesis.settings.register_profile("armctl", deadline=None, derandomize=True, 
 hypothesis.settings.load_profile("armctl")
 
 
-@pytest.fixture(params=ARMS)
+@pytest.fixture(params=some_of(ARMS))
 def arm(request: pytest.FixtureRequest) -> armctl.Arm:
     """Every arm at hand."""
     return arm_of(request.param)
 
 
-@pytest.fixture(params=ROBOTS)
+@pytest.fixture(params=some_of(ROBOTS))
 def robot(request: pytest.FixtureRequest) -> str:
     """The name of every robot at hand, arm or not."""
     return request.param

@@ -208,7 +208,7 @@ def iso9283_cycles(
         figures |= tests.corner(0.5 * _INSET * edge, path_cycles, speed)
         figures |= tests.path_velocity(path_cycles, speed)
         figures |= tests.posing(speed)
-        figures |= _compliance(arm, controller, plant)
+        figures |= compliance(arm, controller, plant)
         reason = ""
     except _RunFailed as failed:
         figures = {}
@@ -325,7 +325,7 @@ class _Tests:
         return {"posing_times": tuple(times)}
 
 
-def _compliance(arm: Arm, controller: Controller, plant: Plant) -> dict[str, object]:
+def compliance(arm: Arm, controller: Controller, plant: Plant) -> dict[str, object]:
     """Clause 10, at home: displacement by a force along each axis, in both directions, after it has settled."""
     hold = move_j(arm, arm.limits.clamp(arm.home), arm.limits.clamp(arm.home))
     compliance = []

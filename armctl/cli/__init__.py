@@ -23,8 +23,8 @@ def program() -> int:
     status = _INTERRUPTED
     try:
         try:
-            signal.signal(signal.SIGINT, _interrupt)
-            sys.unraisablehook = _unraisable_hook
+            signal.signal(signal.SIGINT, interrupt)
+            sys.unraisablehook = unraisable_hook
             from armctl.cli.main import main
 
             status = main()
@@ -56,7 +56,7 @@ def _end_if_busy(status: int) -> None:
         os._exit(status)
 
 
-def _interrupt(signum: int, frame: FrameType | None) -> None:
+def interrupt(signum: int, frame: FrameType | None) -> None:
     """Raises KeyboardInterrupt as soon as no module is being imported: packages do not expect it then, and some abort."""
     while frame is not None:
         if frame.f_code.co_filename == _IMPORTING:
@@ -66,7 +66,7 @@ def _interrupt(signum: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _unraisable_hook(unraisable: sys.UnraisableHookArgs) -> None:
+def unraisable_hook(unraisable: sys.UnraisableHookArgs) -> None:
     """Raises a KeyboardInterrupt again that Python could not raise, for example in a callback of a C library."""
     if unraisable.exc_type is KeyboardInterrupt:  # raised here, it would end in this hook
         _interrupt_again()

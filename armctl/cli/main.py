@@ -24,7 +24,7 @@ _NOT_OPTIONS = {"action", "host", "robot", "law", "file", "run", "options"}
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command, by default that of the process, and returns the exit status."""
     words = sys.argv[1:] if argv is None else list(argv)
-    parser = _parser()
+    parser = command_parser()
     if "_ARGCOMPLETE" in os.environ:  # set by the shell when Tab is pressed
         from argcomplete import autocomplete
 
@@ -71,7 +71,7 @@ def _run(args: argparse.Namespace) -> int:
         sys.stdout.flush()
         return status
     except ArmctlError as error:
-        return _refuse(_with_options(str(error), args), as_json)
+        return _refuse(with_options(str(error), args), as_json)
     except BrokenPipeError:  # the reader of the output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
         return DONE
@@ -91,7 +91,7 @@ def _refuse(message: str, as_json: bool, status: int = WRONG_CALL) -> int:
     return status
 
 
-def _with_options(message: str, args: argparse.Namespace) -> str:
+def with_options(message: str, args: argparse.Namespace) -> str:
     """A message of the library with the options of the command in place of arguments of Python: `--tip` for `tip=`."""
     for name in vars(args).keys() - _NOT_OPTIONS:
         option = f"--{name.replace('_', '-')}"
@@ -100,7 +100,7 @@ def _with_options(message: str, args: argparse.Namespace) -> str:
     return message
 
 
-def _parser() -> _Parser:
+def command_parser() -> _Parser:
     """The parser. The module of a command has `add`, which gives it the command and the function that runs it."""
     parser = _Parser(prog="armctl", description="Command robot arms in MuJoCo.")
     parser.add_argument("--version", action="version", version=f"armctl {__version__}")

@@ -50,18 +50,18 @@ def run(args: argparse.Namespace) -> int:
     from armctl import viewer
     from armctl.loading import catalog
 
-    scenes = _scenes(args.scene)
+    scenes = scenes_by_name(args.scene)
     if args.native:
         if len(args.scene) > 1:
             raise InputError(
                 f"scene: MuJoCo's own viewer shows one, got {len(args.scene)}; leave out --native or give one scene"
             )
-        viewer.view_natively(_load(args, next(iter(scenes.values())))[0], args.controller)
+        viewer.view_natively(loaded_arms(args, next(iter(scenes.values())))[0], args.controller)
     else:
         _return_large_buffers()
         catalog.locate(args.robot)  # an unknown name is reported before a browser opens
         viewer.view(
-            {name: functools.partial(_load, args, scene) for name, scene in scenes.items()},
+            {name: functools.partial(loaded_arms, args, scene) for name, scene in scenes.items()},
             args.controller,
             port=args.port,
             host=args.host,
@@ -72,14 +72,14 @@ def run(args: argparse.Namespace) -> int:
     return common.DONE
 
 
-def _scenes(paths: Sequence[str]) -> dict[str, str | None]:
+def scenes_by_name(paths: Sequence[str]) -> dict[str, str | None]:
     """The scenes to choose from, by name: the files that are given, and none."""
     names = [Path(path).name for path in paths]
     are_unique = len(set(names)) == len(names)
     return {**dict(zip(names if are_unique else paths, paths, strict=True)), _NO_SCENE: None}
 
 
-def _load(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]:
+def loaded_arms(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]:
     """The arm in a scene; all arms of a robot that has several of the same length, such as ALOHA, if no tip is given."""
     from armctl.loading.load import chains, load_arms
 

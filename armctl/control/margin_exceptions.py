@@ -24,7 +24,7 @@ def margin_exceptions(arm: Arm) -> tuple[str, ...]:
     It follows from inertia and gravity at sampled configurations, not from the loops themselves, as `armctl.margins` does.
     """
     found = []
-    peaks = {dt: _pd_peak_sensitivity(arm, dt) for dt in _PERIODS_S}
+    peaks = {dt: pd_peak_sensitivity(arm, dt) for dt in _PERIODS_S}
     excesses = {dt: margin_gains(arm, dt).gravity_excess for dt in _PERIODS_S}
     missed = [dt for dt in _PERIODS_S if peaks[dt] > MAX_PEAK_SENSITIVITY or excesses[dt] > MAX_GRAVITY_EXCESS]
     if missed:
@@ -43,7 +43,7 @@ def margin_exceptions(arm: Arm) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _pd_peak_sensitivity(arm: Arm, dt: float) -> float:
+def pd_peak_sensitivity(arm: Arm, dt: float) -> float:
     """The largest sensitivity of a joint under the default PD: see `pd_margins`."""
     gains = margin_gains(arm, dt)
     return pd_margins(sampled_inertia(arm), gains.stiffness, gains.damping, dt)[0]

@@ -104,7 +104,7 @@ def calibration_poses(
     J = rows_of(chain, known, q, positions_only)
     lengths = np.linalg.norm(np.concatenate(J), axis=0)
     J = J / lengths
-    chosen = _exchanged(J, count)
+    chosen = exchanged(J, count)
     dependent = identifiable(chain, known, q[chosen], positions_only).dependent
     if dependent:
         names = counted(tuple(known[i].name for i in dependent))
@@ -141,7 +141,7 @@ def _candidates(
     return np.array(found)
 
 
-def _exchanged(J: Array, count: int) -> list[int]:
+def exchanged(J: Array, count: int) -> list[int]:
     """The indices of the poses with the largest determinant of the information: greedy choice, then exchange."""
     information = J.transpose(0, 2, 1) @ J
     total = _REGULARIZATION * np.trace(information.sum(axis=0)) * np.eye(J.shape[2])

@@ -296,7 +296,7 @@ def frequency_response(
             unknown = nothing.astype(complex)
             return FrequencyResponse(False, arm.joint_names[index], frequency, unknown, predicted, nothing, nothing, reason)
         total = np.array(excited.commands[:count]).reshape(-1, ticks)[settling:] + signal
-        runs.append(_response(total, signal, lines))
+        runs.append(averaged_response(total, signal, lines))
     run, larger = runs
     change = _above_noise(np.abs(run.response - larger.response) ** 2, run.variance + larger.variance)
     nonlinear = np.sqrt(change + np.maximum(run.distortion, larger.distortion)) / np.abs(run.response)
@@ -324,7 +324,7 @@ class _Response(NamedTuple):
     distortion: Array  # the square of what appears at neighbouring lines that are not excited, without noise
 
 
-def _response(total: Array, signal: Array, lines: IntArray) -> _Response:
+def averaged_response(total: Array, signal: Array, lines: IntArray) -> _Response:
     """The response from the measured torque of whole periods, (periods, ticks) N m."""
     spectrum = np.fft.fft(total, axis=1)
     mean = spectrum.mean(axis=0)

@@ -162,7 +162,7 @@ def identify_servo(arm: Arm, recording: Log, *, judge: Log, source: str | os.Pat
     along = ServoSimulation(arm, judge.dt, bool(found.backlash.any())).limit([found, file], judge) - judge.q
     judged = np.sqrt(np.mean(along[:, round(SETTLING_S / judge.dt) :] ** 2, axis=1))
     rms = fit.rms()
-    reason = _reason(arm, judge, noise, *judged) or fit.at_bound() or _rival(fit, rivals, judge)
+    reason = _reason(arm, judge, noise, *judged) or fit.at_bound() or better_rival(fit, rivals, judge)
     return ServoEstimate(
         ok=not reason,
         reason=reason,
@@ -201,7 +201,7 @@ def _best_fit(arm: Arm, recording: Log, file: ServoParameters, noise: Array) -> 
     return best, [fit for fit in [*fits, *begun[_MAX_SOLVED:], *rivals] if fit is not best]
 
 
-def _rival(fit: ServoFit, rivals: list[ServoFit], judge: Log) -> str:
+def better_rival(fit: ServoFit, rivals: list[ServoFit], judge: Log) -> str:
     """Why a fit with another delay or without a backlash cannot be told from the best; empty if the judge rejects each."""
     residuals = fit.along(judge)
     for rival in rivals:

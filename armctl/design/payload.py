@@ -132,7 +132,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
         recorded = ", ".join(log.joint_names)
         wanted = ", ".join(arm.joint_names)
         raise InputError(f"log: it is of the joints {recorded:.120}, but the arm has {wanted:.120}")
-    least = _MIN_WINDOWS * (2 * _Filter(log.dt).radius + 1)
+    least = _MIN_WINDOWS * (2 * RowFilter(log.dt).radius + 1)
     if len(log) < least:
         return _nothing(arm, f"the run lasts {len(log) * log.dt:.2f} s, and at least {least * log.dt:.2f} s are needed")
     if not (np.abs(log.v) > 2 * _MIN_SPEED).any():
@@ -164,7 +164,7 @@ def _disturbed(arm: Arm, log: Log) -> str:
     return ""
 
 
-class _Filter:
+class RowFilter:
     """A zero-phase low-pass filter: a Gaussian window whose spectrum is down 3 dB at the cut-off."""
 
     def __init__(self, dt: float):
@@ -186,7 +186,7 @@ class _Fit:
     def __init__(self, arm: Arm, log: Log):
         self.arm = arm
         self._dt = log.dt
-        self._filtered = _Filter(log.dt)
+        self._filtered = RowFilter(log.dt)
         self._q = log.q[:-1]
         self._v = log.v[:-1]
         self._tau = log.tau[:-1]

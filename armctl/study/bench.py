@@ -87,7 +87,7 @@ class Bench:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ArmctlWarning)  # they were shown when the study was defined
             self.arm: Arm = load(**setup["robot"])
-        self.digest = _model_digest(self.arm)
+        self.digest = model_digest(self.arm)
         if setup.get("versions", versions()) != versions():
             raise ModelError(
                 f"a worker has {versions()}, but the study was started with {setup['versions']}; install the same there"
@@ -258,7 +258,7 @@ def _source_digest() -> str:
     return digest.hexdigest()
 
 
-def _model_digest(arm: Arm) -> str:
+def model_digest(arm: Arm) -> str:
     digest = hashlib.blake2b(digest_size=16)
     arrays = [getattr(arm.model, name) for name in sorted(dir(arm.model)) if name.startswith(_MODEL_ARRAYS)]
     for array in (*arrays, *vars(arm.limits).values(), arm.home):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PATH = "/devices"
 LEASE_S = 0.25  # for which a velocity counts; the script renews it every 40 ms
 _MAX_MESSAGE_CHARACTERS = 256
-_FULL_SPEED = 0.1  # m/s of the tip
+FULL_SPEED = 0.1  # m/s of the tip
 _FULL_TURN = 0.5  # rad/s of the tip
 
 _Shares = tuple[float, float, float, float, float, float]
@@ -55,7 +55,7 @@ class HandDevices:
         shares = self._shares
         if shares is None or time.monotonic() - self._renewed_at > LEASE_S:
             return None
-        return TipVelocity(_FULL_SPEED * shares[:3], _FULL_TURN * shares[3:])
+        return TipVelocity(FULL_SPEED * shares[:3], _FULL_TURN * shares[3:])
 
     async def serve(self, connection: ServerConnection) -> None:
         try:

@@ -34,7 +34,7 @@ def printed_with_franky_sim(example: Path, address: str = "127.0.0.5") -> str:
     Raises:
         ModuleNotFoundError: The simulator is not installed.
     """
-    server = [sys.executable, ROOT / "tests" / "links" / "franky_server.py", address]
+    server = [sys.executable, ROOT / "tests" / "helpers" / "franky_server.py", address]
     with subprocess.Popen(server, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             if process.stdout is None or process.stdout.readline() != "ready\n":

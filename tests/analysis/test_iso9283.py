@@ -5,7 +5,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.analysis.iso9283 import _compliance, iso9283_cycles
+from armctl.analysis.iso9283 import compliance, iso9283_cycles
 from armctl.analysis.iso9283_figures import (
     accuracy,
     cornering,
@@ -108,7 +108,7 @@ def test_posing_ends_when_the_tip_stays_in_the_band():
 
 def test_static_compliance_is_that_of_a_known_spring(bundled):
     controller = armctl.Impedance(bundled, stiffness=[1000.0, 2000.0, 4000.0, 0.0, 0.0, 0.0])
-    found = _compliance(bundled, controller, armctl.Plant(timestep=0.002))["compliance_m_per_N"]
+    found = compliance(bundled, controller, armctl.Plant(timestep=0.002))["compliance_m_per_N"]
     assert found == pytest.approx((1e-3, 5e-4, 2.5e-4), rel=1e-2)
 
 

@@ -15,7 +15,7 @@ from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
 
 import armctl
 from armctl.cli.common import CONTROLLER_NAMES
-from armctl.cli.main import _with_options, main
+from armctl.cli.main import main, with_options
 from armctl.control import CONTROLLERS
 from armctl.core.tables import TERMINAL_COLUMNS, Table, folded
 from armctl.loading.datasheets import ROWS
@@ -85,12 +85,12 @@ def test_the_help_lists_all_controllers():
 
 def test_messages_name_options_and_not_arguments_of_python():
     args = argparse.Namespace(robot="panda", tip=None, hold_base=False, run=main)
-    assert _with_options("choose one with tip=: a, b", args) == "choose one with --tip: a, b"
-    assert _with_options("hold_base=True holds it, tip=hand and tip_offset= too", args) == (
+    assert with_options("choose one with tip=: a, b", args) == "choose one with --tip: a, b"
+    assert with_options("hold_base=True holds it, tip=hand and tip_offset= too", args) == (
         "--hold-base holds it, --tip hand and tip_offset= too"
     )
-    assert _with_options("tip: no such body", args) == "--tip: no such body"
-    assert _with_options("robot: no such file", args) == "robot: no such file"
+    assert with_options("tip: no such body", args) == "--tip: no such body"
+    assert with_options("robot: no such file", args) == "robot: no such file"
 
 
 def test_json_has_the_same_keys_after_success_failure_and_wrong_calls(capsys):
@@ -467,8 +467,8 @@ def test_every_command_that_loads_an_arm_takes_an_srdf(capsys, tmp_path: Path):
 
 def test_an_interrupt_that_python_cannot_raise_is_raised_soon_after():
     code = (
-        "import signal, sys, time\nfrom armctl.cli import _unraisable_hook\n"
-        "sys.unraisablehook = _unraisable_hook\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "import signal, sys, time\nfrom armctl.cli import unraisable_hook\n"
+        "sys.unraisablehook = unraisable_hook\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Interrupted:\n    def __del__(self): raise KeyboardInterrupt\n"
         "try:\n    Interrupted()\n    time.sleep(10)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
     )
@@ -481,7 +481,7 @@ def test_an_interrupt_waits_until_modules_are_imported(tmp_path):
         "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(0.1)\nprint('imported')\n"
     )
     code = (
-        "import signal, time\nfrom armctl.cli import _interrupt\nsignal.signal(signal.SIGINT, _interrupt)\n"
+        "import signal, time\nfrom armctl.cli import interrupt\nsignal.signal(signal.SIGINT, interrupt)\n"
         "try:\n    import slow\n    time.sleep(10)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
     )
     paths = {"PYTHONPATH": f"{tmp_path}:{_paths()['PYTHONPATH']}"}

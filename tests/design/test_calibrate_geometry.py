@@ -12,7 +12,7 @@ from synthetic import BENT, SHAPES, serial_arm
 
 import armctl
 from armctl.collision.checkers import collision_checker
-from armctl.design.calibration_poses import _exchanged
+from armctl.design.calibration_poses import exchanged
 
 NOISE = 1e-4  # m
 SHIFT = np.array([0.004, -0.003, 0.002])
@@ -259,4 +259,4 @@ def test_the_chosen_poses_are_those_with_the_most_information():
         return np.linalg.det(rows.T @ rows)
 
     best = max(combinations(range(10), 3), key=information)
-    assert sorted(_exchanged(J, 3)) == list(best)
+    assert sorted(exchanged(J, 3)) == list(best)

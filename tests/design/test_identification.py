@@ -10,7 +10,7 @@ from synthetic import limb, motors
 
 import armctl
 from armctl.collision.checkers import collision_checker
-from armctl.design.payload import _Filter
+from armctl.design.payload import RowFilter
 from armctl.motion.torque_limits import check_torque
 
 ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14", "so_arm100", "gantry")
@@ -301,7 +301,7 @@ def test_a_seed_gives_the_same_motion_and_another_seed_another(bundled):
 
 def test_the_filter_is_a_gaussian_of_unit_gain_that_halves_the_power_at_ten_hertz():
     dt = 1e-3
-    filtered = _Filter(dt)
+    filtered = RowFilter(dt)
     t = dt * np.arange(4000)
     for frequency, gain in ((0.0, 1.0), (10.0, 2**-0.5)):
         angle = 2 * np.pi * frequency * t

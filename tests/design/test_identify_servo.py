@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import armctl
-from armctl.design.identify_servo import _rival
+from armctl.design.identify_servo import better_rival
 from armctl.design.servo_fit import ServoFit
 from armctl.design.servo_simulation import ServoParameters, ServoSimulation
 from armctl.robot.arm import with_model
@@ -173,7 +173,7 @@ def test_a_backlash_stays_only_if_the_judge_rejects_the_fit_without_it(file, see
         fit.z[-1] = DELAY / DT
         fit._simulation = ServoSimulation(arm, DT, gap > 0)
         fits.append(fit)
-    reason = _rival(fits[0], fits[1:], judge or recorded(arm, seed, gap=0.02))
+    reason = better_rival(fits[0], fits[1:], judge or recorded(arm, seed, gap=0.02))
     assert (reason == "") is told
     assert told or "as well without a backlash as with one of 20 mrad" in reason
 

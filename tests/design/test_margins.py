@@ -16,9 +16,9 @@ import armctl
 from armctl.analysis.describe import facts
 from armctl.control import CONTROLLERS, controller_by_name
 from armctl.control.gains import MAX_PEAK_SENSITIVITY, sample_configurations
-from armctl.control.margin_exceptions import _pd_peak_sensitivity
+from armctl.control.margin_exceptions import pd_peak_sensitivity
 from armctl.control.observer_gains import PAYLOAD_LEVER_M, max_unknown_payload
-from armctl.design.frequency_response import _response
+from armctl.design.frequency_response import averaged_response
 from armctl.design.linearization import Linearizer
 
 PLANT = armctl.Plant(timestep=0.004)
@@ -154,7 +154,7 @@ def test_the_variance_of_a_response_is_that_of_repeated_measurements():
     lines = np.array([5, 9, 15])
     time = np.arange(64)
     signal = sum(np.cos(2 * np.pi * line * time / 64 + line) for line in lines)
-    found = [_response(signal + rng.normal(size=(4, 64)), signal, lines) for _ in range(3000)]
+    found = [averaged_response(signal + rng.normal(size=(4, 64)), signal, lines) for _ in range(3000)]
     scatter = np.var([each.response for each in found], axis=0)
     assert np.mean([each.variance for each in found], axis=0) == pytest.approx(scatter, rel=0.1)
 
@@ -220,7 +220,7 @@ def test_the_sensitivity_that_info_declares_is_that_of_the_loops(shape, tmp_path
     laws = armctl.PD(arm), armctl.PDGravity(arm)
     loops = [linearizer.loop_at(law, q).coarse_margins() for law in laws for q in sample_configurations(arm)]
     largest = max(each.peak_sensitivity.max() for each in loops)
-    assert _pd_peak_sensitivity(arm, 0.004) == pytest.approx(largest, rel=0.01)
+    assert pd_peak_sensitivity(arm, 0.004) == pytest.approx(largest, rel=0.01)
 
 
 @pytest.mark.parametrize("make", [armctl.PD, armctl.ComputedTorqueObserver])

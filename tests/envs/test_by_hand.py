@@ -5,6 +5,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+
+pytest.importorskip("gymnasium", reason="pip install -e '.[envs]'")
+
 from scipy.spatial.transform import Rotation
 from synthetic import BENT, arm_with_gripper, serial_arm
 

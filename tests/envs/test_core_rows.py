@@ -3,9 +3,12 @@
 import threading
 import time
 
-import gymnasium
 import numpy as np
 import pytest
+
+pytest.importorskip("gymnasium", reason="pip install -e '.[envs]'")
+
+import gymnasium
 
 import armctl
 import armctl.envs

@@ -2,11 +2,16 @@
 
 import json
 
-import av
 import numpy as np
+import pytest
+
+pytest.importorskip("av", reason="pip install -e '.[view]'")
+pytest.importorskip("pandas", reason="pip install -e '.[study]'")
+pytest.importorskip("pyarrow", reason="pip install -e '.[study]'")
+
+import av
 import pandas as pd
 import pyarrow.parquet as pq
-import pytest
 
 import armctl
 import armctl.envs

@@ -1,11 +1,11 @@
 """lerobot reads what `save_demonstrations` writes. Without that package, which needs PyTorch, this test is skipped."""
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 pytest.importorskip("lerobot", reason="lerobot is not installed; pip install lerobot")
 
+import pyarrow.parquet as pq
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 import armctl.envs

@@ -1,9 +1,12 @@
 """Options of `reset`: goal and start of an episode can be set, and everything else is refused."""
 
-import gymnasium
 import mujoco
 import numpy as np
 import pytest
+
+pytest.importorskip("gymnasium", reason="pip install -e '.[envs]'")
+
+import gymnasium
 
 import armctl
 from armctl.envs import ArmEnv, ArmVectorEnv

@@ -6,10 +6,13 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import gymnasium
 import mujoco
 import numpy as np
 import pytest
+
+pytest.importorskip("gymnasium", reason="pip install -e '.[envs]'")
+
+import gymnasium
 from gymnasium.utils.env_checker import check_env
 from synthetic import FAST, mjcf, motors
 

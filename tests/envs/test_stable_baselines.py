@@ -1,10 +1,10 @@
 """stable-baselines3 accepts the environments. Without that package, which needs PyTorch, these tests are skipped."""
 
-import gymnasium
 import pytest
 
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed; pip install stable-baselines3")
 
+import gymnasium
 from stable_baselines3.common.env_checker import check_env
 from synthetic import arm_with_gripper
 

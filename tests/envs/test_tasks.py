@@ -3,10 +3,13 @@
 import contextlib
 from dataclasses import replace
 
-import gymnasium
 import mujoco
 import numpy as np
 import pytest
+
+pytest.importorskip("gymnasium", reason="pip install -e '.[envs]'")
+
+import gymnasium
 from gymnasium.utils.env_checker import check_env
 from synthetic import arm_with_gripper, short_arm_with_jaw
 

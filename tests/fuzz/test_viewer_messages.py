@@ -3,12 +3,12 @@
 import copy
 import time
 
-import msgspec
 import numpy as np
 import pytest
 
 pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 
+import msgspec
 import viser
 from viewer_client import CAMERA, connected, follows, open_page, until
 

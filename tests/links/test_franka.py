@@ -5,11 +5,10 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import arm_of
+from arms import HELPERS, arm_of
 
 import armctl
 from armctl.links.franka import FR3
@@ -27,7 +26,7 @@ def address() -> Iterator[str]:
     """The simulated controller on an address of this test process: its ports are fixed."""
     worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
     host = f"127.0.7.{1 + int(worker)}"
-    command = [sys.executable, str(Path(__file__).with_name("franky_server.py")), host]
+    command = [sys.executable, str(HELPERS / "franky_server.py"), host]
     usual = os.getpriority(os.PRIO_PROCESS, 0)
     with contextlib.suppress(PermissionError):  # controller and stream must run each millisecond, also beside other tests
         os.setpriority(os.PRIO_PROCESS, 0, usual - 10)

@@ -14,7 +14,7 @@ from pathlib import Path
 import mujoco_menagerie as menagerie
 import numpy as np
 import pytest
-from arms import arm_of
+from arms import HELPERS, arm_of
 
 import armctl
 
@@ -33,7 +33,7 @@ def address():
     pytest.importorskip("pylibfranka")
     arm_of("fr3")  # skips where its model is not installed
     model = menagerie.get("franka_fr3").path() / "fr3.xml"
-    command = [PYTHON, Path(__file__).with_name("franka_sim_server.py"), ADDRESS]
+    command = [PYTHON, HELPERS / "franka_sim_server.py", ADDRESS]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {"FR3_MJCF": str(model)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as server:
         assert server.stdout is not None
@@ -72,7 +72,7 @@ def test_no_command_is_refused_that_the_check_passed(address: str, speed: float)
 def judged(streams: list[np.ndarray], folder: Path) -> list[str]:
     """What the simulator's checks say of streams whose rows are never late."""
     np.savez(folder / "streams.npz", *streams)
-    command = [PYTHON, Path(__file__).with_name("franka_sim_judge.py"), folder / "streams.npz"]
+    command = [PYTHON, HELPERS / "franka_sim_judge.py", folder / "streams.npz"]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
     return output.splitlines()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import arm_of
+from arms import HELPERS, arm_of
 from synthetic import Shape, serial_arm
 
 import armctl
@@ -23,7 +23,7 @@ class Bus:
     """The process of the servos."""
 
     def __init__(self) -> None:
-        command = [sys.executable, str(Path(__file__).with_name("servo_bus.py")), *map(str, START)]
+        command = [sys.executable, str(HELPERS / "servo_bus.py"), *map(str, START)]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         self.port = self.process.stdout.readline().strip()

@@ -175,7 +175,7 @@ def test_a_goal_is_a_pose_a_point_or_a_list(arm, kind):
 
 def test_the_same_seed_gives_the_same_bits_in_another_process(arm, tmp_path):
     code = (
-        "import sys, hashlib, warnings; warnings.simplefilter('ignore'); sys.path.insert(0, 'tests')\n"
+        "import sys, hashlib, warnings; warnings.simplefilter('ignore'); sys.path.insert(0, 'tests/helpers')\n"
         "from pathlib import Path; from collidable import arm_among; import armctl\n"
         "from planning.test_move_free import WALL, START, GOAL\n"
         f"arm = arm_among(Path({str(tmp_path)!r}), WALL)\n"

@@ -127,6 +127,17 @@ def test_a_clear_statement_is_not(code: str):
     assert not list(unclear_statements(ast.parse(code)))
 
 
+def test_tests_import_no_private_names():
+    """What tests import is public, and so are the modules it comes from."""
+    private = []
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "armctl":
+                names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
+                private += [f"{path.name}: {name}" for name in names if name.startswith("_") and name != "_core"]
+    assert not private
+
+
 def test_every_public_name_is_listed_by_dir():
     assert set(armctl.__all__) <= set(dir(armctl))
 

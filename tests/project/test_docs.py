@@ -10,7 +10,7 @@ import pytest
 from arms import MISSING
 
 import armctl
-from armctl.cli.main import _parser
+from armctl.cli.main import command_parser
 
 ROOT = Path(__file__).parents[2]
 PAGES = [*ROOT.glob("*.md"), ROOT / "llms.txt", *(ROOT / "docs").glob("*.md")]
@@ -44,7 +44,7 @@ LINKS = [(page, link) for page, text in TEXTS.items() for link in re.findall(r"\
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_in_the_pages_is_one_that_armctl_takes(command: str):
-    assert _parser().parse_args(shlex.split(command, comments=True)[1:]).run
+    assert command_parser().parse_args(shlex.split(command, comments=True)[1:]).run
 
 
 README_COMMANDS = [line for line in blocks(TEXTS[Path("README.md")], "sh")[-1].splitlines() if line.startswith("armctl ")]

@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
-import nbformat
 import pytest
+
+pytest.importorskip("nbclient", reason="pip install -e '.[dev]'")
+
+import nbformat
 from arms import MISSING
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError

@@ -1,5 +1,6 @@
 """The compiled loop and the Python loop are the same simulation: every controller on every plant, bit for bit."""
 
+import ctypes
 import itertools
 import threading
 import time
@@ -7,11 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import mujoco
-import numba
 import numpy as np
 import pytest
 from motions import Still, Sway
-from numba import types
 from synthetic import BENT, mjcf, serial_arm
 
 import armctl
@@ -215,10 +214,10 @@ def test_a_run_that_diverges_ends_at_the_same_tick_for_the_same_reason(slider):
     assert "diverged" in logs[0].failure
 
 
-_NUMBERS = types.CPointer(types.float64)
+_NUMBERS = ctypes.POINTER(ctypes.c_double)
 
 
-@numba.cfunc(types.void(*[_NUMBERS] * 7, types.int64))
+@ctypes.CFUNCTYPE(None, *[_NUMBERS] * 7, ctypes.c_int64)
 def _spring(parameters, q, v, reference, wrench, memory, tau, n):
     for i in range(n):
         tau[i] = parameters[0] * (reference[i] - q[i]) - parameters[1] * v[i]
@@ -234,7 +233,7 @@ class OwnLaw(CompiledController):
         self.stiffness = 5.0
 
     def make_law(self, dt: float, continuous: bool) -> _core.Law:
-        return armctl.CFunctionLaw(_spring.address, n=self.n, parameters=[self.stiffness, 1.0])
+        return armctl.CFunctionLaw(ctypes.cast(_spring, ctypes.c_void_p).value, n=self.n, parameters=[self.stiffness, 1.0])
 
 
 class Doubled(OwnLaw):

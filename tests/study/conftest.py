@@ -1,11 +1,6 @@
-import sys
-from pathlib import Path
-
 import pytest
 
 import armctl
-
-sys.path.append(str(Path(__file__).parent))  # own_controller, here and in processes that inherit PYTHONPATH
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ import pytest
 
 import armctl
 from armctl.sim.mujoco_library import library
-from armctl.study.bench import Bench, _model_digest, failed_outcome, run_chunk, versions
+from armctl.study.bench import Bench, failed_outcome, model_digest, run_chunk, versions
 from armctl.study.study import Store
 
 
@@ -262,10 +262,10 @@ def test_runs_of_other_versions_are_kept_apart(study, tmp_path, monkeypatch):
 @pytest.mark.parametrize("array", ["body_mass", "jnt_range", "dof_damping", "geom_friction", "actuator_gainprm"])
 def test_models_that_differ_in_one_number_have_different_digests(array: str):
     arm = armctl.load("robot_arm_3dof")
-    before = _model_digest(arm)
-    assert before == _model_digest(armctl.load("robot_arm_3dof"))
+    before = model_digest(arm)
+    assert before == model_digest(armctl.load("robot_arm_3dof"))
     getattr(arm.model, array)[-1] += 1e-9
-    assert _model_digest(arm) != before
+    assert model_digest(arm) != before
 
 
 def test_a_worker_with_another_model_or_version_refuses(study):

@@ -10,7 +10,7 @@ pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 import websockets.exceptions
 from viewer_client import Client, connected, get, open_page, until
 
-from armctl.viewer.devices import _FULL_SPEED, LEASE_S, PATH, HandDevices
+from armctl.viewer.devices import FULL_SPEED, LEASE_S, PATH, HandDevices
 
 UP = "[0, 0, 1, 0, 0, 0]"
 DOWN = "[0, 0, -1, 0, 0, 0]"
@@ -68,7 +68,7 @@ def test_a_velocity_is_limited_ends_without_renewal_and_belongs_to_one_visitor(m
     devices = HandDevices()
     first, second = object(), object()
     devices.take(first, "[0.5, -1e300, 0, 0, 0, 0]")
-    assert devices.velocity.linear == pytest.approx([0.5 * _FULL_SPEED, -_FULL_SPEED, 0.0])
+    assert devices.velocity.linear == pytest.approx([0.5 * FULL_SPEED, -FULL_SPEED, 0.0])
     devices.take(second, UP)
     devices.take(second, STOP)
     assert devices.velocity.linear[2] == 0.0
@@ -76,7 +76,7 @@ def test_a_velocity_is_limited_ends_without_renewal_and_belongs_to_one_visitor(m
     assert devices.velocity is None
     devices.take(second, UP)
     devices.take(first, DOWN)
-    assert devices.velocity.linear[2] == pytest.approx(_FULL_SPEED)
+    assert devices.velocity.linear[2] == pytest.approx(FULL_SPEED)
     devices.take(second, STOP)
     assert devices.velocity is None
 

@@ -4,13 +4,13 @@ import io
 import re
 from itertools import product
 
-import msgspec
 import numpy as np
 import pytest
 from PIL import Image
 
 pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 
+import msgspec
 import viser
 from viewer_client import CAMERA, connected, control_id, follows, open_page, until
 

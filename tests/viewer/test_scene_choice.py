@@ -13,8 +13,8 @@ pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 from viewer_client import connected, control_id, follows, open_page, until
 
 from armctl import InputError
-from armctl.cli.main import _parser
-from armctl.cli.view import _load, _scenes, run
+from armctl.cli.main import command_parser
+from armctl.cli.view import loaded_arms, run, scenes_by_name
 
 BOX = '<mujoco><worldbody><geom name="box" type="box" size=".05 .05 .05" pos="0 0.6 0.1"/></worldbody></mujoco>'
 BALL = '<mujoco><worldbody><body name="ball" pos="0 -0.6 0.05"><freejoint/><geom size="0.05"/></body></worldbody></mujoco>'
@@ -28,19 +28,19 @@ def paths(tmp_path: Path) -> list[str]:
 
 
 def test_scenes_are_offered_by_the_names_of_their_files_unless_two_are_the_same():
-    assert _scenes([]) == {"none": None}
-    assert _scenes(["a/cell.xml", "b/shelf.xml"]) == {"cell.xml": "a/cell.xml", "shelf.xml": "b/shelf.xml", "none": None}
-    assert list(_scenes(["a/cell.xml", "b/cell.xml"])) == ["a/cell.xml", "b/cell.xml", "none"]
+    assert scenes_by_name([]) == {"none": None}
+    assert scenes_by_name(["a/cell.xml", "b/shelf.xml"]) == {"cell.xml": "a/cell.xml", "shelf.xml": "b/shelf.xml", "none": None}
+    assert list(scenes_by_name(["a/cell.xml", "b/cell.xml"])) == ["a/cell.xml", "b/cell.xml", "none"]
 
 
 def test_the_native_window_shows_one_scene():
     with pytest.raises(InputError, match="shows one, got 2"):
-        run(_parser().parse_args(["view", BUNDLED, "--native", "--scene", "a.xml", "--scene", "b.xml"]))
+        run(command_parser().parse_args(["view", BUNDLED, "--native", "--scene", "a.xml", "--scene", "b.xml"]))
 
 
 def test_a_chosen_scene_replaces_everything_and_a_failure_leaves_the_present_one(paths: list[str]):
-    args = _parser().parse_args(["view", BUNDLED, *(word for path in paths for word in ("--scene", path))])
-    scenes = {name: functools.partial(_load, args, path) for name, path in _scenes(args.scene).items()}
+    args = command_parser().parse_args(["view", BUNDLED, *(word for path in paths for word in ("--scene", path))])
+    scenes = {name: functools.partial(loaded_arms, args, path) for name, path in scenes_by_name(args.scene).items()}
     allowed = threading.Event()
     load_alone = scenes["none"]
     scenes["none"] = lambda: allowed.wait() and load_alone()

@@ -11,8 +11,8 @@ pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 from viewer_client import connected, open_page, until
 
 from armctl import ModelError
-from armctl.cli.main import _parser
-from armctl.cli.view import _load
+from armctl.cli.main import command_parser
+from armctl.cli.view import loaded_arms
 from armctl.sim.realtime.status import Activity
 
 
@@ -24,7 +24,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def loaded(*words: str):
-    return _load(_parser().parse_args(["view", *words]))
+    return loaded_arms(command_parser().parse_args(["view", *words]))
 
 
 def test_view_loads_all_arms_of_a_robot_unless_a_tip_is_given(path: Path):

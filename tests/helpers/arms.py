@@ -5,11 +5,12 @@
 installed robots, with legs and hands.
 
 All these lists are names, so pytest collects the tests without loading a robot. `arm_of` refuses to load one outside a test.
+`make test` runs only some of them: `some_of` marks the others.
 """
 
 import os
-import re
 import warnings
+from collections.abc import Collection, Iterable
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +23,8 @@ import armctl
 from armctl.loading.catalog import BUNDLED
 from armctl.loading.datasheets import ALIASES
 
-MODELS = Path(__file__).parent / "models"
+HELPERS = Path(__file__).parent
+MODELS = HELPERS.parent / "models"
 CHAINS = ("first", "second")  # of a robot with two arms
 MISSING = "its model is not installed"
 
@@ -84,10 +86,9 @@ def _loaded(robot: str | Path, tip: str) -> armctl.Arm:
 
 @cache
 def _tips(robot: str) -> list[str]:
-    """The tips of a robot with several arms, from the message that asks for one of them."""
-    with pytest.raises(armctl.ModelError) as caught:
-        armctl.load(robot)
-    return re.findall(r"'([^']+)'", str(caught.value).partition("tip=:")[2])
+    """The tips of the longest chains of a robot with several arms."""
+    chains = armctl.chains(robot)
+    return [chain.tip for chain in chains if chain.ok and len(chain.joint_names) == len(chains[0].joint_names)]
 
 
 _SHORT = {name: alias for alias, name in ALIASES.items()}
@@ -96,3 +97,18 @@ PAIRS = [f"{r.name}:{chain}" for r in menagerie.robots("dual_arm") if at_hand(r.
 ARMS_WITH_SHAPES = [BUNDLED, *MENAGERIE_ARMS]
 ARMS = [BUNDLED, *MENAGERIE_ARMS, *PAIRS, *sorted(path.stem for path in MODELS.iterdir())]
 ROBOTS = [BUNDLED, *(_SHORT.get(r.name, r.name) for r in menagerie.robots() if at_hand(r.name))]
+# Of the lists above, `make test` runs these: the bundled arm, a redundant one, a robot with legs, and the chains of `MODELS`.
+FEW = {BUNDLED, "panda", "unitree_go2", *(path.stem for path in MODELS.iterdir())}
+
+
+def some_of(names: Iterable[str], few: Collection[str] = frozenset(FEW)) -> list:
+    """Parameters of a test, of which only a few belong to `make test`.
+
+    Args:
+        names: All of them.
+        few: Those that `make test` runs.
+
+    Returns:
+        The names; those that are not in `few` with the mark `full`.
+    """
+    return [name if name in few else pytest.param(name, marks=pytest.mark.full) for name in names]
