@@ -55,6 +55,8 @@ from .core.errors import UnknownNameError as UnknownNameError
 from .core.limits import Limits as Limits
 from .core.log import Contact as Contact
 from .core.log import Log as Log
+from .core.log import LogSource as LogSource
+from .core.log import LogTorques as LogTorques
 from .core.log import SimulationError as SimulationError
 from .core.pose import Pose as Pose
 from .core.result import MoveResult as MoveResult

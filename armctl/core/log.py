@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,12 +20,33 @@ from armctl.core.file_reading import reading
 from armctl.core.log_columns import QUANTITIES, REFERENCES, STATES
 from armctl.core.log_csv import Columns, Units, read_recording
 from armctl.core.other_names import with_hints
-from armctl.core.validation import Array, frozen, instance, matrix, number, shown, words
+from armctl.core.validation import Array, choice, flag, frozen, instance, matrix, number, shown, words
 
-RECORDED = "recorded"  # the unknown controller in the recording of a real robot
 _MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10
 _MIN_ROWS = 2  # of a recording, for its velocity
 _QUATERNION_TOLERANCE = 1e-3  # of the norm of a quaternion in a file
+
+
+class LogSource(StrEnum):
+    """Where a log comes from."""
+
+    SIMULATION = "simulation"
+    """A simulation of armctl: positions and torques are of the same instant."""
+    ROBOT = "robot"
+    """`armctl.Robot`: what the robot measured while armctl commanded it."""
+    RECORDING = "recording"
+    """A file or arrays of another program."""
+
+
+class LogTorques(StrEnum):
+    """What the torques of a log are."""
+
+    BOTH = "both"
+    """`tau` is what the motors gave, `tau_cmd` what the controller commanded."""
+    MEASURED = "measured"
+    """Both are what the motors gave: commands were not recorded."""
+    COMMANDED = "commanded"
+    """Both are what was commanded: motors were not measured."""
 
 
 class Contact(NamedTuple):
@@ -72,7 +94,10 @@ class Log:
         tip_quat: (T, 4) wxyz.
         tip_ref: (T, 3) m.
         tip_ref_quat: (T, 4) wxyz.
-        plant: The differences of the plant from the model.
+        plant: The differences of the plant from the model, in words.
+        source: Where the log comes from: a simulation, an `armctl.Robot`, or a recording of another program.
+        continuous: Whether the arm moved almost continuously between ticks; False for the steps of MuJoCo, one for each tick.
+        torques: What `tau` and `tau_cmd` are, where they are known.
         qpos: (T, nq) the positions of the whole model as in MjData.qpos, with grippers and loose objects, for films.
         units: The unit of each joint, "rad" or "m"; rad for all joints if left out.
         contacts: What the arm touched, in the order of time; empty if it touched nothing.
@@ -102,6 +127,9 @@ class Log:
     tip_ref: Array
     tip_ref_quat: Array
     plant: str = "nominal"
+    source: LogSource = LogSource.SIMULATION
+    continuous: bool = False
+    torques: LogTorques = LogTorques.BOTH
     qpos: Array = field(default_factory=lambda: np.zeros((0, 0)))
     units: tuple[str, ...] = ()
     contacts: tuple[Contact, ...] = ()
@@ -120,6 +148,8 @@ class Log:
         )
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "source", LogSource(choice("source", self.source, LogSource)))
+        object.__setattr__(self, "torques", LogTorques(choice("torques", self.torques, LogTorques)))
         object.__setattr__(self, "joint_names", words("joint_names", self.joint_names))
         units = words("units", self.units) or ("rad",) * len(self.joint_names)
         if len(units) != len(self.joint_names) or not set(units) <= {"rad", "m"}:
@@ -206,6 +236,7 @@ class Log:
         *,
         units: Units | None = None,
         joint_names: Sequence[str] | None = None,
+        torques: LogTorques | str = LogTorques.MEASURED,
         robot: str = "",
     ) -> Log:
         """Reads the recording of a real robot: time, joint positions and joint torques.
@@ -221,6 +252,7 @@ class Log:
             units: The units of "t" (s, ms, us, ns), "q" (rad, deg, m, mm) and "tau" (N m, mN m, N, N mm); a list for "q" and
                 "tau" if the joints have different units. The default is s, rad and N m.
             joint_names: The n joints, such as `arm.joint_names`; the names of the columns of q if left out.
+            torques: "measured" by the motors, or "commanded".
 
         Returns:
             The log. What the file does not contain (references, the tip) is NaN; torque limits are infinite.
@@ -229,12 +261,14 @@ class Log:
             InputError: The file cannot be read, a column or unit is unknown, or the numbers are no recording.
         """
         instance("robot", robot, str, "give a name")
+        kind = LogTorques(choice("torques", torques, (LogTorques.MEASURED, LogTorques.COMMANDED)))
         recording = read_recording(path, columns, units)
         names = recording.joint_names if joint_names is None else words("joint_names", joint_names)
         if len(names) != len(recording.joint_names):
             raise InputError(f"{path!s:.80}: {len(recording.joint_names)} joints are recorded, {len(names)} are named")
         found = {"q": recording.q, "v": recording.v, "tau": recording.tau, "tau_cmd": recording.tau}
-        return cls._recorded(robot, names, recording.units, recording.dt, str(recording), recording.t, **found)
+        facts = _Recorded(names, recording.units, recording.dt, recording.t, str(recording), kind)
+        return cls._recorded(robot, facts, **found)
 
     @classmethod
     def from_positions(
@@ -273,35 +307,62 @@ class Log:
         dt = number("dt", dt, 1e-6, 10.0)
         t = np.asarray(dt * np.arange(len(measured)), np.float64)
         found = {"q": measured, "v": np.gradient(measured, dt, axis=0), "q_ref": commanded}
-        return cls._recorded(robot, names, words("units", units), dt, "a recording of positions", t, **found)
+        facts = _Recorded(names, words("units", units), dt, t, "a recording of positions", LogTorques.MEASURED)
+        return cls._recorded(robot, facts, **found)
 
     @classmethod
-    def _recorded(
-        cls, robot: str, names: tuple[str, ...], units: tuple[str, ...], dt: float, plant: str, t: Array, **known: Array
-    ) -> Log:
+    def _recorded(cls, robot: str, recording: _Recorded, **known: Array) -> Log:
         """A log of a real robot, whose quantities that are not known are NaN."""
+        n = len(recording.joint_names)
         recorded = {name: each for name, each in QUANTITIES.items() if not each.is_optional}
-        widths = {name: len(names) if each.is_per_joint else len(each.axes) for name, each in recorded.items()}
-        unknown = {name: np.full((len(t), width), np.nan) for name, width in widths.items()}
+        widths = {name: n if each.is_per_joint else len(each.axes) for name, each in recorded.items()}
+        unknown = {name: np.full((len(recording.t), width), np.nan) for name, width in widths.items()}
         return cls(
             robot=robot,
-            controller=RECORDED,
-            joint_names=names,
-            dt=dt,
-            tau_max=np.full(len(names), np.inf),
-            motion_duration=float(t[-1]),
+            controller="recorded",
+            joint_names=recording.joint_names,
+            dt=recording.dt,
+            tau_max=np.full(n, np.inf),
+            motion_duration=float(recording.t[-1]),
             target=np.full(7, np.nan),
             real_time_factor=1.0,
             failure="",
-            t=t,
-            plant=plant,
-            units=units,
+            t=recording.t,
+            plant=recording.description,
+            source=LogSource.RECORDING,
+            continuous=True,
+            torques=recording.torques,
+            units=recording.units,
             **{**unknown, **known},
         )
 
 
+class _Recorded(NamedTuple):
+    """What a recording of another program says of itself; the names are those of `Log`."""
+
+    joint_names: tuple[str, ...]
+    units: tuple[str, ...]
+    dt: float
+    t: Array
+    description: str
+    torques: LogTorques
+
+
+def _of_earlier_versions(meta: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What a log says of itself, added to a file of an earlier version, which said it only in texts."""
+    if "source" in meta:
+        return meta
+    plant = str(meta["plant"])
+    if meta["controller"] == "recorded":
+        return {**meta, "source": LogSource.RECORDING, "continuous": True, "torques": LogTorques.MEASURED}
+    if plant.startswith("robot: "):
+        return {**meta, "source": LogSource.ROBOT, "continuous": True, "torques": LogTorques.MEASURED}
+    return {**meta, "source": LogSource.SIMULATION, "continuous": "continuous" in plant, "torques": LogTorques.BOTH}
+
+
 def _checked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a log from a file; an InputError says which of them cannot be."""
+    meta = _of_earlier_versions(meta)
     missing = {f.name for f in fields(Log)} - {*arrays, *meta} - {"contacts", "wrench"}
     unknown = ({*arrays, *meta} - {f.name for f in fields(Log)}) | (set(arrays) & set(meta))
     if missing or unknown:
@@ -319,6 +380,7 @@ def _checked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, 
         "dt": dt,
         "motion_duration": number("motion_duration", meta["motion_duration"], 0.0),
         "real_time_factor": factor if factor in (math.inf, -math.inf) else number("real_time_factor", factor),
+        "continuous": flag("continuous", meta["continuous"]),
         "contacts": tuple(_contact(each) for each in meta.get("contacts", ())),
     }
     return {**arrays, **meta, **known}

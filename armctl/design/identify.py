@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.log import RECORDED, Log
+from armctl.core.log import Log, LogSource
 from armctl.core.validation import Array, BoolArray, IntArray, choice, flag, frozen, instance, number, shown
 from armctl.design.arm_estimate import ArmEstimate, Validation, counted
 from armctl.design.parameter_fit import ParameterFit
@@ -91,7 +91,7 @@ def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
     instance("log", log, Log, "armctl.simulate and armctl.Log.from_csv give one")
     if log.q.shape[1] != arm.n:
         raise InputError(f"log: {log.q.shape[1]} joints are recorded, but {arm.name:.80} has {arm.n}")
-    if log.controller != RECORDED and log.joint_names != arm.joint_names:
+    if log.source is not LogSource.RECORDING and log.joint_names != arm.joint_names:
         raise InputError(f"log: it is of the joints {shown(log.joint_names)}, but the arm has {shown(arm.joint_names)}")
     if log.units != arm.units:
         raise InputError(f"log: its joints are measured in {shown(log.units)}, those of the arm in {shown(arm.units)}")

@@ -166,17 +166,17 @@ def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int 
     cases += [(linearizer, q) for linearizer in linearizers for q in search_starts(linearizer.arm, loops[0])]
     known = loops + [linearizer.loop_at(law, q) for linearizer, q in cases[len(loops) :]]
     found = [loop.coarse_margins() for loop in known]
-    return loops + worst_loops([linearizer for linearizer, _ in cases], law, known, found)
+    return loops + [loop for _, loop in worst_loops([linearizer for linearizer, _ in cases], law, known, found)]
 
 
 def worst_loops(
     linearizers: Sequence[Linearizer], law: Controller, loops: Sequence[Loop], found: Sequence[CoarseMargins]
-) -> list[Loop]:
+) -> list[tuple[Linearizer, Loop]]:
     """The worst loops that searches find; they begin at the worst of these loops, whose linearizers and margins are given."""
-    worst: list[Loop] = []
+    worst: list[tuple[Linearizer, Loop]] = []
     for score in (lambda margins: float(margins.delay.min()), lambda margins: -float(margins.peak_sensitivity.max())):
         for i in np.argsort([score(each) for each in found])[: _SEARCHES if loops[0].has_static_law else 1]:
-            worst.append(_worst_loop(linearizers[i], law, loops[i].q, score))
+            worst.append((linearizers[i], _worst_loop(linearizers[i], law, loops[i].q, score)))
     return worst
 
 

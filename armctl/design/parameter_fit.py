@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
-from armctl.core.log import RECORDED, Log
+from armctl.core.log import Log, LogSource
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.design.fit_rows import LawFit, Rows, best_of, cost_of_damping, speeds_of_torques, squared_residual
 from armctl.design.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
@@ -40,7 +40,6 @@ _DIAGONAL = 4  # of a Cholesky factor's ten parameters
 _LOG_SIZE_PRIOR = 1.0
 _MAX_CORRELATED_ROWS = 30
 _SIGNIFICANT_ERRORS = 4.0  # standard errors; the choice of a shape makes more of noise than one fit does
-_CONTINUOUS = "continuous"  # in the description of a plant whose motion is finer than the tick
 _MAX_DROPPED_ERROR = 0.5  # of the prior's standard deviation: what the data do not show at all absorbs no noise
 _DROPPED_PRIOR = 1e-4  # factor on the standard deviation of the prior
 
@@ -53,7 +52,8 @@ class ParameterFit:
         self._dt = log.dt
         self._t = log.t
         self._holdout = holdout
-        self._may_be_delayed = log.controller == RECORDED  # positions and torques of a simulation are of the same tick
+        is_simulated = log.source is LogSource.SIMULATION
+        self._may_be_delayed = not is_simulated  # positions and torques of a simulation are of the same tick
         n = regressor.arm.n
         self.cutoff = choose_cutoff(log.q, log.dt)  # Hz
         q = low_pass(log.q, self.cutoff, log.dt)
@@ -67,8 +67,7 @@ class ParameterFit:
         self._a = a[:: self._stride]
         self.shape = FrictionShape(np.full(n, _SHAPE_SPEEDS[4]), np.full(n, _STRIBECK_SPEEDS[3]))
         self._sliding = np.zeros(n)
-        is_simulated = log.controller != RECORDED and _CONTINUOUS not in log.plant
-        is_law_known = is_simulated and regressor.layout.has_friction
+        is_law_known = is_simulated and not log.continuous and regressor.layout.has_friction
         self._law = DryFriction.of(regressor.arm.model, regressor.arm.joint_map) if is_law_known else None
         self._slope = np.zeros(n) if self._law is None else self._law.slope  # N m s/rad
         self._bound = np.zeros(n)  # N m, of the damper with this slope

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.log import Log
+from armctl.core.log import Log, LogTorques
 from armctl.core.validation import Array, instance
 from armctl.design.arm_excitation import Excitation, Multisine
 from armctl.design.loop import Loop
@@ -72,7 +72,7 @@ def recorded_response(
         found = _estimate(spectra.torque, disturbance, spectra.reference)
     predicted = np.full(len(z), np.nan, dtype=complex)
     if loop is not None and of != "closed loop":
-        is_late = bool(np.isfinite(log.tau_cmd).all())
+        is_late = log.torques is not LogTorques.MEASURED
         predicted = _predicted(_checked_loop(loop, log), multisine, of, is_late)[:, column, column]
     return RecordedResponse(
         frequency=np.asarray(2 * np.pi * multisine.lines / multisine.period, dtype=np.float64),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from itertools import product
+from itertools import compress, product
 from operator import itemgetter
 
 import numpy as np
@@ -215,15 +215,15 @@ class _Bounds:
             sensitivity = np.log(self.peak_sensitivity / (self.reserve * found.peak_sensitivity))
         return np.clip([delay, sensitivity], _UNSTABLE, 1.0)
 
-    def violating(self, loops: Sequence[Loop], coarse: Sequence[CoarseMargins]) -> list[Loop]:
-        """Those that violate a bound by their coarse margins; if none does so, by their margins."""
+    def violated_by(self, loops: Sequence[Loop], coarse: Sequence[CoarseMargins]) -> list[bool]:
+        """Whether each violates a bound by its coarse margins; if none does so, by its margins."""
         kept = [
             each.delay.min() >= self.delay_margin and each.peak_sensitivity.max() <= self.peak_sensitivity for each in coarse
         ]
         if all(kept):
             exact = [loop.robustness() for loop in loops]
             kept = [each.delay_margin >= self.delay_margin and each.peak_sensitivity <= self.peak_sensitivity for each in exact]
-        return [loop for loop, is_kept in zip(loops, kept, strict=True) if not is_kept]
+        return [not each for each in kept]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -434,7 +434,7 @@ class _Judge:
         self._given = len(self._cases)  # how many of the cases are judged; searches may begin at the others, too
         if self._has_searches:
             self._cases += _cases(linearizers, search_starts(arm, self._cases[0].with_controller(default)))
-        self.before = self.figures(self._judged(default, *self._known(default)))
+        self.before = self.figures([loop for _, loop in self._judged(default, *self._known(default))])
 
     def violating(self, controller: Controller) -> tuple[list[_Case], list[Loop]]:
         """The worst cases that violate a bound, and all loops that were judged. They are searched for if no known one does."""
@@ -443,22 +443,24 @@ class _Judge:
         worst = [self._cases[i] for i in np.argsort(left)[:_ADDED] if left[i] < -_TOLERANCE]
         if worst and self._has_searches:
             return worst, []
-        at = {str(linearizer.plant): linearizer for linearizer in self.linearizers}
-        loops = self._judged(controller, known, found)
+        judged = self._judged(controller, known, found)
+        loops = [loop for _, loop in judged]
         coarse = found[: self._given] + [loop.coarse_margins() for loop in loops[self._given :]]
-        return [_Case(at[loop.plant], loop, coarse_plant(loop)) for loop in self._bounds.violating(loops, coarse)], loops
+        violating = compress(judged, self._bounds.violated_by(loops, coarse))
+        return [_Case(linearizer, loop, coarse_plant(loop)) for linearizer, loop in violating], loops
 
     def _known(self, controller: Controller) -> tuple[list[Loop], list[CoarseMargins]]:
         """The loops of the known configurations, and their margins."""
         loops = [case.with_controller(controller) for case in self._cases]
         return loops, [coarse_margins_with(case.transfer, loop) for case, loop in zip(self._cases, loops, strict=True)]
 
-    def _judged(self, controller: Controller, known: list[Loop], found: list[CoarseMargins]) -> list[Loop]:
-        """As `judged_loops`, from the loops of the known configurations."""
-        loops = known[: self._given]
+    def _judged(self, controller: Controller, known: list[Loop], found: list[CoarseMargins]) -> list[tuple[Linearizer, Loop]]:
+        """As `judged_loops`, from the loops of the known configurations, and with their linearizers."""
+        linearizers = [case.linearizer for case in self._cases]
+        judged = list(zip(linearizers, known, strict=True))[: self._given]
         if self._has_searches:
-            loops += worst_loops([case.linearizer for case in self._cases], controller, known, found)
-        return loops
+            judged += worst_loops(linearizers, controller, known, found)
+        return judged
 
     def figures(self, loops: Sequence[Loop]) -> LoopFigures:
         found = [loop.robustness() for loop in loops]

@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.control.interface import Controller, State
 from armctl.core.errors import LinkError
-from armctl.core.log import Log
+from armctl.core.log import Log, LogSource, LogTorques
 from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array
@@ -60,6 +60,8 @@ class LinkDrive:
     """A robot as the drive of an arm's commands; its `data` mirrors the joints as measured, and all else as in the model."""
 
     continuous = True
+    source = LogSource.ROBOT
+    torques = LogTorques.MEASURED
 
     def __init__(self, arm: Arm, host: LinkHost | RemoteHost, link: Link, envelope: Envelope, tip_speed: float):
         self.actuation = arm.actuation  # the arm's joints

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from armctl.control.interface import Controller, State
+from armctl.core.log import LogSource, LogTorques
 from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array
@@ -23,6 +24,8 @@ class Drive(Protocol):
     data: mujoco.MjData  # the scene now; for a robot, a mirror of what it measures
     dt: float
     failure: str  # why the last run ended early, in words; empty if it did not
+    source: LogSource  # of its logs
+    torques: LogTorques  # of its logs
     late: int  # ticks by which references for a robot came too late until now; it came to rest instead
 
     @property

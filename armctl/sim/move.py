@@ -272,7 +272,19 @@ class ControlledArms:
         if error is not None and not failure:
             failure = f"interrupted at {self.drive.data.time:.3f} s by {type(error).__name__}"
         wall_time = time.perf_counter() - recorder.started
-        return RunInfo(controller, self.drive.description, self.drive.dt, duration, target, wall_time, failure)
+        drive = self.drive
+        return RunInfo(
+            controller=controller,
+            plant=drive.description,
+            source=drive.source,
+            continuous=drive.continuous,
+            torques=drive.torques,
+            dt=drive.dt,
+            motion_duration=duration,
+            target=target,
+            wall_time=wall_time,
+            failure=failure,
+        )
 
     def _give_log(self, error: BaseException | None) -> None:
         """Gives a SimulationError the log of the arm whose controller failed."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.errors import InputError
-from armctl.core.log import Contact, Log
+from armctl.core.log import Contact, Log, LogSource, LogTorques
 from armctl.core.log_columns import REFERENCES, STATES
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, read_only
@@ -68,6 +68,9 @@ class RunInfo(NamedTuple):
 
     controller: str
     plant: str
+    source: LogSource
+    continuous: bool
+    torques: LogTorques
     dt: float
     motion_duration: float
     target: Array
@@ -118,6 +121,9 @@ class Recorder:
             tau_max=np.array(arm.motor_torque_limits),
             controller=run.controller,
             plant=run.plant,
+            source=run.source,
+            continuous=run.continuous,
+            torques=run.torques,
             dt=dt,
             motion_duration=run.motion_duration,
             target=np.array(run.target),

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from armctl import _core
 from armctl.control.interface import CompiledController, Controller, State, controller_name, has_compiled_law
 from armctl.core.errors import InputError
-from armctl.core.log import SimulationError
+from armctl.core.log import SimulationError, LogSource, LogTorques
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, read_only, shown, vector
@@ -83,6 +83,9 @@ class Stepper:
 
     Its `description` is the plant in words; after a run that `diverged` only `reset` helps.
     """
+
+    source = LogSource.SIMULATION
+    torques = LogTorques.BOTH
 
     def __init__(self, arms: Sequence[Arm], plant: Plant, observer: Observer | None = None):
         """A stepper of arms that share no joint, at home, at rest. Payload and pushes act at the tip of the first."""

@@ -7,6 +7,7 @@ import pytest
 from motions import Sway
 
 import armctl
+from armctl.core.log_files import Content, save
 
 ENDINGS = (".npz", ".parquet", ".csv")
 
@@ -33,7 +34,14 @@ def test_a_log_is_the_same_after_saving_and_loading(log, tmp_path, ending: str, 
     )
     if kind == "a recording":
         odd = dataclasses.replace(
-            odd, q_ref=np.full_like(log.q, np.nan), tau_max=np.full(3, np.inf), qpos=np.zeros((0, 0)), wrench=log.wrench
+            odd,
+            source=armctl.LogSource.RECORDING,
+            continuous=True,
+            torques=armctl.LogTorques.COMMANDED,
+            q_ref=np.full_like(log.q, np.nan),
+            tau_max=np.full(3, np.inf),
+            qpos=np.zeros((0, 0)),
+            wrench=log.wrench,
         )
     if kind == "no ticks":
         over_time = [f.name for f in dataclasses.fields(log) if np.ndim(getattr(log, f.name)) and len(getattr(log, f.name)) > 9]
@@ -42,6 +50,28 @@ def test_a_log_is_the_same_after_saving_and_loading(log, tmp_path, ending: str, 
     loaded = armctl.Log.load(odd.save(tmp_path / f"run{ending}"))
     different = [f.name for f in dataclasses.fields(log) if not same(getattr(odd, f.name), getattr(loaded, f.name))]
     assert different == []
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize(
+    ("controller", "plant", "expected"),
+    [
+        ("pd", "nominal", (armctl.LogSource.SIMULATION, False, armctl.LogTorques.BOTH)),
+        ("pd", "continuous, delay 2 ticks", (armctl.LogSource.SIMULATION, True, armctl.LogTorques.BOTH)),
+        ("fr3's own servo", "robot: fr3", (armctl.LogSource.ROBOT, True, armctl.LogTorques.MEASURED)),
+        ("recorded", "cut-off 20 Hz", (armctl.LogSource.RECORDING, True, armctl.LogTorques.MEASURED)),
+    ],
+)
+def test_a_file_without_a_source_gets_it_from_its_texts(
+    log, tmp_path, ending: str, controller: str, plant: str, expected: tuple
+):
+    old = dataclasses.replace(log, controller=controller, plant=plant)
+    facts = {f.name: getattr(old, f.name) for f in dataclasses.fields(old) if f.name not in ("source", "continuous", "torques")}
+    arrays = {name: value for name, value in facts.items() if isinstance(value, np.ndarray)}
+    content = Content(arrays, {name: value for name, value in facts.items() if name not in arrays})
+    save(tmp_path / f"old{ending}", content)
+    loaded = armctl.Log.load(tmp_path / f"old{ending}")
+    assert (loaded.source, loaded.continuous, loaded.torques) == expected
 
 
 def test_the_flat_table_has_named_columns_of_equal_length(log):

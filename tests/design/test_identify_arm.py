@@ -221,6 +221,29 @@ def test_a_recording_that_is_delayed_is_aligned(arms, motions, tmp_path):
     assert f"{found.cutoff:.3g} Hz" in page.read_text()
 
 
+def test_what_a_robot_measured_may_be_late_whatever_its_names_say(arms, motions):
+    arm = arms["planar"]
+    log = recorded(changed(arm, coulomb=0.3), motions["planar"], noise=0.1)
+    late = replace(log, t=log.t[:-4], q=log.q[4:], v=log.v[4:], tau=log.tau[:-4])
+    found = armctl.identify(
+        arm, replace(late, source=armctl.LogSource.ROBOT, continuous=True, controller="servo", plant="robot")
+    )
+    same = armctl.identify(arm, replace(late, source=armctl.LogSource.RECORDING, continuous=True))
+    assert found.delay == same.delay == pytest.approx(4 * TICK, abs=TICK)
+    assert np.array_equal(found.coulomb_friction, same.coulomb_friction)
+
+
+def test_the_names_of_a_plant_decide_nothing(arms, motions):
+    arm = arms["planar"]
+    real = changed(arm, coulomb=0.3)
+    for continuous, name in ((True, "worn gears"), (False, "discontinuous gears")):
+        plants = [armctl.Plant(continuous=continuous, timestep=TICK, name=each) for each in ("", name)]
+        logs = [armctl.simulate(real, "computed-torque-observer", motions["planar"], plant, dwell=0.0) for plant in plants]
+        assert [log.continuous for log in logs] == [continuous, continuous]
+        estimates = [armctl.identify(arm, log) for log in logs]
+        assert np.array_equal(estimates[0].coulomb_friction, estimates[1].coulomb_friction)
+
+
 @pytest.mark.parametrize("friction", ["none", "stribeck"])
 def test_other_friction_models(arms, motions, friction):
     arm = arms["planar"]
