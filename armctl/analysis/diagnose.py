@@ -4,48 +4,22 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from armctl.analysis.static_payload import doubt_about_torque_limits, static_payload, static_payloads
-from armctl.core.errors import ArmctlWarning, MissingShapeWarning, ModelError
+from armctl.core.errors import ArmctlWarning, ModelError
+from armctl.core.note import Severity
 from armctl.core.validation import Array
 from armctl.loading.load import load
-from armctl.loading.unit_checks import unit_doubts
 from armctl.mjmodel.queries import acts, body_name, joint_name
 from armctl.robot.arm import Arm
 
 _MAX_OWN_WEIGHTS = 5.0  # an arm that could hold more than so many times its own mass has doubtful torque limits
 _MAX_MASS_RATIO = 1000.0  # greatest mass of a link over the smallest
-
-_SEVERITIES = ("error", "warning", "note")
-
-# What to write, by a phrase of the warning that armctl gives while it loads the file.
-_ADVICE = {
-    "left out: not found": "copy the meshes beside the file, or convert them to .stl or .obj",
-    "left out: MuJoCo reads": "convert the meshes to .stl or .obj",
-    "inertia of": 'correct <inertia ixx="..." ixy="..." .../> of these links from the CAD model',
-    "has no mass or no inertia": 'write <mass value="..."/> and <inertia .../> into the <inertial> of these links',
-    "no mass or inertia given": 'write <inertial><mass value="..."/><inertia .../></inertial> into these links',
-    "no inertial given": 'write <inertial><mass value="..."/><inertia .../></inertial> into these links',
-    "no mass given": 'write <mass value="..."/> into the <inertial> of these links',
-    "no inertia given": 'write <inertia ixx="..." ixy="..." .../> into the <inertial> of these links',
-    "no torque limit given": 'write <limit effort="..."/> (URDF) or forcerange="..." (MJCF) from the data sheet',
-    "no actuator in the file": "add <actuator><motor joint=.../></actuator> for each joint",
-    "touch at home": "list the pairs in an SRDF, or as <contact><exclude .../></contact> (MJCF)",
-    "ends below its start": "exchange the two ends of the range",
-    "what DC motors have": "judge a controller by `armctl margins`, which includes the motor's lag",
-    "the actuators delay commands": "judge a controller by `armctl margins`, which includes the delay",
-    "elastic joints move": "judge a controller by `armctl margins`, which includes the spring, or take ElasticFeedforward",
-    "(springyield)": "remove springyield, or keep the motion inside it",
-    "the sensors of joints are late": "judge a controller by `armctl margins`, which includes it",
-    "drag (": 'set density="0" viscosity="0" in <option>',
-}
-
-_SHAPE_ADVICE = "write <collision> (URDF), or geoms with contype and conaffinity (MJCF), into these links"
 
 
 @dataclass(frozen=True)
@@ -53,12 +27,12 @@ class Finding:
     """One thing that is doubtful in a robot's file.
 
     Attributes:
-        severity: "error" if the arm cannot be used, "warning" if results can be wrong, "note" for an assumption.
+        severity: An error if the arm cannot be used, a warning if results can be wrong, a note for an assumption.
         text: What was found.
         advice: What to write or to pass instead; empty if there is no advice.
     """
 
-    severity: str
+    severity: Severity
     text: str
     advice: str = ""
 
@@ -88,13 +62,13 @@ class Diagnosis:
     @property
     def reason(self) -> str:
         """The first error; empty if there is none."""
-        return next((finding.text for finding in self.findings if finding.severity == "error"), "")
+        return next((finding.text for finding in self.findings if finding.severity is Severity.ERROR), "")
 
     def __bool__(self) -> bool:
         return self.ok
 
     def __str__(self) -> str:
-        counts = [(severity, sum(f.severity == severity for f in self.findings)) for severity in _SEVERITIES]
+        counts = [(severity, sum(f.severity == severity for f in self.findings)) for severity in Severity]
         head = f"{self.name}: " + ", ".join(f"{n} {severity}" + ("" if n == 1 else "s") for severity, n in counts)
         return "\n".join([head, *map(str, self.findings)])
 
@@ -130,28 +104,16 @@ def diagnose(
         try:
             arm = load(robot, tip=tip, base=base, hold_base=hold_base, srdf=srdf, shapes=shapes)
         except ModelError as error:
-            return Diagnosis(name, (Finding("error", str(error)),), float("nan"))
-    texts = [
-        str(each.message)
-        for each in caught
-        if issubclass(each.category, ArmctlWarning) and not issubclass(each.category, MissingShapeWarning)
-    ]
+            return Diagnosis(name, (Finding(Severity.ERROR, str(error)),), float("nan"))
+    noted = [each.message.note for each in caught if isinstance(each.message, ArmctlWarning) and each.message.note is not None]
     capacity = static_payloads(arm)
-    doubts = unit_doubts(arm.model, arm.joint_map.joints, arm.tip_body, arm.T_body_tip.position)
-    found = [Finding("error", doubt) for doubt in doubts]
-    found += [
-        Finding("warning", text, next((_ADVICE[each] for each in _ADVICE if each in text), ""))
-        for text in texts
-        if text.partition(": ")[2] not in doubts
-    ]
-    found += [
-        Finding("error", str(each.message), _SHAPE_ADVICE) for each in caught if issubclass(each.category, MissingShapeWarning)
-    ]
+    found = [Finding(note.severity, note, note.advice) for note in noted]
     found += _torque_findings(arm, capacity)
     found += _contact_findings(arm)
     found += _mass_findings(arm)
-    found += _assumptions(arm, {text.partition(": ")[2] for text in texts}, is_tip_given=tip is not None)
-    found.sort(key=lambda finding: _SEVERITIES.index(finding.severity))
+    found += _assumptions(arm, set(noted), is_tip_given=tip is not None)
+    severities = list(Severity)
+    found.sort(key=lambda finding: severities.index(finding.severity))
     return Diagnosis(arm.name, tuple(found), static_payload(capacity))
 
 
@@ -162,22 +124,22 @@ def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:
     for name, torque, limit, unit in zip(arm.joint_names, home, arm.limits.tau_max, arm.torque_units, strict=True):
         if abs(torque) > limit:
             text = f"holding {name} still at home takes {abs(torque):.3g} {unit}; its limit is {limit:.3g} {unit} ({source})"
-            yield Finding("error", text, "correct the torque limit or the masses behind this joint")
+            yield Finding(Severity.ERROR, text, "correct the torque limit or the masses behind this joint")
     weak = float(np.mean(payloads < 0))
     if weak > 0:
         text = f"the torque limits ({source}) cannot hold the arm itself in {100 * weak:.0f} % of random configurations"
-        yield Finding("warning", text, "compare effort or forcerange, and the masses, with the data sheet")
+        yield Finding(Severity.WARNING, text, "compare effort or forcerange, and the masses, with the data sheet")
     low = static_payload(payloads)
     middle = float(np.median(payloads))
     own = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[arm.joint_map.joints[0]]])
     doubt = doubt_about_torque_limits(arm, low)
     if doubt:
-        yield Finding("warning", doubt, "take effort or forcerange from the data sheet")
+        yield Finding(Severity.WARNING, doubt, "take effort or forcerange from the data sheet")
     if np.isfinite(low) and low > _MAX_OWN_WEIGHTS * own:
         text = f"the torque limits ({source}) hold {low:.3g} kg at the tip of an arm of {own:.3g} kg"
-        yield Finding("warning", text, "these limits are doubtful; take them from the data sheet")
+        yield Finding(Severity.WARNING, text, "these limits are doubtful; take them from the data sheet")
     elif np.isfinite(middle) and low >= 0 and not doubt:
-        yield Finding("note", f"the torque limits ({source}) hold {low:.3g} kg at the tip (median {middle:.3g} kg)")
+        yield Finding(Severity.NOTE, f"the torque limits ({source}) hold {low:.3g} kg at the tip (median {middle:.3g} kg)")
 
 
 def _contact_findings(arm: Arm) -> Iterator[Finding]:
@@ -189,7 +151,9 @@ def _contact_findings(arm: Arm) -> Iterator[Finding]:
     for first, second in sorted(pairs):
         text = f"{body_name(model, first)} and {body_name(model, second)} overlap at home"
         yield Finding(
-            "warning", text, "write <contact><exclude body1=... body2=.../></contact>, or <disable_collisions> in an SRDF"
+            Severity.WARNING,
+            text,
+            "write <contact><exclude body1=... body2=.../></contact>, or <disable_collisions> in an SRDF",
         )
 
 
@@ -205,22 +169,22 @@ def _mass_findings(arm: Arm) -> Iterator[Finding]:
             f"the masses of the links differ by more than {_MAX_MASS_RATIO:g} times: {masses[heavy]:.3g} kg of "
             f"{body_name(model, heavy)}, {masses[light]:.3g} kg of {body_name(model, light)}"
         )
-        yield Finding("warning", text, "check their units: kg, and meshes in m rather than mm")
+        yield Finding(Severity.WARNING, text, "check their units: kg, and meshes in m rather than mm")
     bare = [joint_name(model, joint) for joint in joints if model.dof_armature[model.jnt_dofadr[joint]] == 0]
     if bare:
         text = f"no rotor inertia at {', '.join(bare):.200}: light links then react too fast to a torque"
-        yield Finding("note", text, 'write armature="gear^2 x rotor inertia" at these joints (MJCF)')
+        yield Finding(Severity.NOTE, text, 'write armature="gear^2 x rotor inertia" at these joints (MJCF)')
 
 
-def _assumptions(arm: Arm, warned: set[str], is_tip_given: bool) -> Iterator[Finding]:
+def _assumptions(arm: Arm, warned: Collection[str], is_tip_given: bool) -> Iterator[Finding]:
     """What armctl chose because the file does not say it."""
     if not is_tip_given:
-        yield Finding("note", f"the tip is {arm.tip!r:.80}, chosen by armctl", "tip= names another site or body")
+        yield Finding(Severity.NOTE, f"the tip is {arm.tip!r:.80}, chosen by armctl", "tip= names another site or body")
     assumed = [name for name, source in arm.sources.items() if source.startswith("default") or "default for" in source]
     if assumed:
         text = f"{', '.join(assumed)}: defaults, at least for some joints"
         remedy = "arm.with_limits(...) sets them"
-        yield Finding("note", text, f"a URDF's <limit velocity=...>, or {remedy}" if "v_max" in assumed else remedy)
+        yield Finding(Severity.NOTE, text, f"a URDF's <limit velocity=...>, or {remedy}" if "v_max" in assumed else remedy)
     for note in arm.notes:
         if note not in warned:
-            yield Finding("note", note)
+            yield Finding(Severity.NOTE, note)

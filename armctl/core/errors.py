@@ -11,6 +11,8 @@ import importlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from armctl.core.note import Note
+
 MAX_MESSAGE_CHARACTERS = 400
 _MAX_LISTED_CHARACTERS = 240  # of known names; of a longer list the message gives the number
 _MAX_SHOWN_PAIRS = 2
@@ -132,15 +134,21 @@ class LinkError(ArmctlError):
 
 
 class ArmctlWarning(UserWarning):
-    """armctl had to assume something, such as a limit that the model does not specify."""
+    """armctl had to assume something, such as a limit that the model does not specify.
 
-    def __init__(self, message: object = "") -> None:
+    Attributes:
+        note: What `load` notes of a model, with its severity and advice; None for any other warning.
+    """
+
+    def __init__(self, message: object = "", note: Note | None = None) -> None:
         """A warning with a message, shortened as that of an ArmctlError.
 
         Args:
             message: One sentence.
+            note: What `load` notes of a model.
         """
         super().__init__(_one_line(str(message)))
+        self.note = note
 
 
 class MissingShapeWarning(ArmctlWarning):

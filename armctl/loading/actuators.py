@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from armctl.core.note import Note
 from armctl.core.validation import shown
 from armctl.loading.catalog import Source
 from armctl.loading.limits import torque_range
@@ -19,6 +20,7 @@ _WRONG_SOLVER = "4.0.0"  # the version whose Newton solver has a wrong Hessian f
 _MIN_SPARSE_DOFS = 60  # from which `jacobian="auto"` means sparse
 _MAX_INCLUDED_FILES = 100
 _MAX_LISTED = 16
+_JUDGE = "judge a controller by `armctl margins`, which includes {}"
 
 
 def dc_motors(source: Source, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> tuple[DcMotor | None, ...]:
@@ -66,14 +68,30 @@ def actuator_notes(
         if model.jnt_plasticadr[joint] >= 0
     ]
     late = _late_sensors(analysis, transmissions, names)
-    sentences = {
-        "what DC motors have acts in simulation, but controllers do not model it ({})": windings,
-        "the actuators delay commands ({}); simulations and margins include it": delays,
-        "elastic joints move in simulation and margins, but controllers take them as rigid ({})": springs,
-        "springs yield in simulation (springyield), but controllers take them as elastic ({})": yielding,
-        "the sensors of joints are late ({}); simulations and margins include it, but environments do not": late,
-    }
-    warned = [sentence.format(_listed(found)) for sentence, found in sentences.items() if found]
+    found = [
+        (
+            windings,
+            "what DC motors have acts in simulation, but controllers do not model it ({})",
+            _JUDGE.format("the motor's lag"),
+        ),
+        (delays, "the actuators delay commands ({}); simulations and margins include it", _JUDGE.format("the delay")),
+        (
+            springs,
+            "elastic joints move in simulation and margins, but controllers take them as rigid ({})",
+            _JUDGE.format("the spring") + ", or take ElasticFeedforward",
+        ),
+        (
+            yielding,
+            "springs yield in simulation (springyield), but controllers take them as elastic ({})",
+            "remove springyield, or keep the motion inside it",
+        ),
+        (
+            late,
+            "the sensors of joints are late ({}); simulations and margins include it, but environments do not",
+            _JUDGE.format("it"),
+        ),
+    ]
+    warned: list[str] = [Note(sentence.format(_listed(names)), advice) for names, sentence, advice in found if names]
     warned += [
         f"joint {shown(name)} is moved by {_sum_of_torques(model, each)}: one motor with the sum of their torques replaces them"
         for name, each in zip(names, transmissions, strict=True)

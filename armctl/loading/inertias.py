@@ -6,6 +6,7 @@ from collections.abc import Iterable
 import mujoco
 import numpy as np
 
+from armctl.core.note import Note
 from armctl.core.validation import Array
 from armctl.mjmodel.queries import body_name
 
@@ -14,6 +15,8 @@ MIN_MASS_KG = 1e-3
 MIN_INERTIA_KG_M2 = 1e-6
 _MIN_RELATIVE_SPREAD = 1e-7  # of the greatest second moment: MuJoCo refuses an inertia at the limit of what is possible
 _MAX_NAMES = 8
+_MASS = '<mass value="..."/>'
+_INERTIA = '<inertia ixx="..." ixy="..." .../>'
 
 _NO_INERTIA = (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0)  # no full inertia, as MuJoCo writes it
 
@@ -65,7 +68,8 @@ def inferred_inertias(spec: mujoco.MjSpec) -> list[str]:
     names = [part.name for part in moving if not part.explicitinertial and part.geoms]
     if not names:
         return []
-    return [f"no inertial given for {_listed(names)}: mass and inertia are those of the collision shapes at 1000 kg/m^3"]
+    text = f"no inertial given for {_listed(names)}: mass and inertia are those of the collision shapes at 1000 kg/m^3"
+    return [Note(text, f"write <inertial>{_MASS}{_INERTIA}</inertial> into these links")]
 
 
 def nearest_inertia(inertia: Array) -> Array:
@@ -134,8 +138,15 @@ def _sentences(unphysical: Iterable[str], without: dict[str, list[str]]) -> list
         "mass or inertia": f"{MIN_MASS_KG:g} kg and {MIN_INERTIA_KG_M2:g} kg m^2 are used",
     }
     impossible = _listed(list(unphysical))
-    first = [f"the inertia of {impossible} is one that no body has: armctl uses the nearest possible one"] if impossible else []
-    return first + [f"no {lacks} given for {_listed(names)}: {values[lacks]}" for lacks, names in without.items()]
+    notes: list[str] = []
+    if impossible:
+        text = f"the inertia of {impossible} is one that no body has: armctl uses the nearest possible one"
+        notes.append(Note(text, 'correct <inertia ixx="..." ixy="..." .../> of these links from the CAD model'))
+    elements = {"mass": _MASS, "inertia": _INERTIA, "mass or inertia": _MASS + _INERTIA}
+    for lacks, names in without.items():
+        advice = f"write {elements[lacks]} into the <inertial> of these links"
+        notes.append(Note(f"no {lacks} given for {_listed(names)}: {values[lacks]}", advice))
+    return notes
 
 
 def _listed(names: list[str]) -> str:

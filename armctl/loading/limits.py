@@ -9,6 +9,7 @@ import numpy as np
 from armctl.core import units
 from armctl.core.errors import ModelError
 from armctl.core.limits import Limits
+from armctl.core.note import Note
 from armctl.core.validation import Array, shown
 from armctl.loading.datasheets import Row
 from armctl.mjmodel.couplings import tendon_coefficients
@@ -348,7 +349,8 @@ def _assumed_torque_note(model: mujoco.MjModel, joints: Sequence[int], tau: Arra
     joint_units = units.of_joints(model.jnt_type[list(joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE))
     values = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(tau, units.of_torque(joint_units), strict=True))
     rates = units.label(joint_units, "/s^2")
-    return f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {rates} plus friction)"
+    text = f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {rates} plus friction)"
+    return Note(text, 'write <limit effort="..."/> (URDF) or forcerange="..." (MJCF) from the data sheet')
 
 
 def _check_inertia(model: mujoco.MjModel, transmissions: Sequence[Transmission], inertia: Array, gravity: Array) -> None:

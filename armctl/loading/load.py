@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import mujoco
 
 from armctl.core.errors import ArmctlWarning, InputError, MissingShapeWarning, ModelError, few_names
+from armctl.core.note import Note, Severity
 from armctl.core.pose import Pose
 from armctl.core.validation import flag, instance, shown
 from armctl.loading.added_shapes import CAPSULES, VISUAL, add_shapes, read_shapes, visual_links
@@ -40,6 +41,7 @@ from armctl.mjmodel.transmissions import Transmissions
 from armctl.robot.arm import Arm
 from armctl.robot.parity import check_parity
 
+_SHAPE_ADVICE = "write <collision> (URDF), or geoms with contype and conaffinity (MJCF), into these links"
 _FLANGE = "armctl_flange"
 
 
@@ -293,9 +295,11 @@ def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Rec
     """The arms of a prepared model, checked, after the warnings about it."""
     warned = [*notes, *prepared.notes]
     for sentence in [*warned, *(note for plan in prepared.plans for note in plan.notes)]:
-        warnings.warn(f"{name}: {sentence}", ArmctlWarning, stacklevel=4)
+        note = sentence if isinstance(sentence, Note) else Note(sentence)
+        warnings.warn(ArmctlWarning(f"{name}: {note}", note), stacklevel=4)
     if prepared.shape_note:
-        warnings.warn(f"{name}: {prepared.shape_note}", MissingShapeWarning, stacklevel=4)
+        note = Note(prepared.shape_note, _SHAPE_ADVICE, Severity.ERROR)
+        warnings.warn(MissingShapeWarning(f"{name}: {note}", note), stacklevel=4)
         warned.append(prepared.shape_note)
     check_joint_parameters(prepared.model)
     notes = [*warned, *prepared.quiet_notes]

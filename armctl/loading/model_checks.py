@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
+from armctl.core.note import Note
 from armctl.core.validation import shown
 from armctl.loading.catalog import arena_bytes
 from armctl.mjmodel.queries import body_name, joint_name
@@ -67,14 +68,16 @@ def check_mass_matrix(arm: Arm) -> None:
 
 def model_notes(model: mujoco.MjModel) -> list[str]:
     """A sentence each on the drag of air or water, and on joints whose range ends below its start, which is none to MuJoCo."""
-    notes = []
+    notes: list[str] = []
     option = model.opt
     if option.density or option.viscosity:
         wind = ", ".join(f"{x:g}" for x in option.wind)
         medium = f"density {option.density:g} kg/m^3, viscosity {option.viscosity:g} Pa s, wind [{wind}] m/s"
-        notes.append(f"drag ({medium}) acts in simulation, but controllers do not model it; density=0 viscosity=0 removes it")
+        text = f"drag ({medium}) acts in simulation, but controllers do not model it; density=0 viscosity=0 removes it"
+        notes.append(Note(text, 'set density="0" viscosity="0" in <option>'))
     reversed_range = np.flatnonzero(model.jnt_range[:, 0] > model.jnt_range[:, 1])
     if len(reversed_range):
         names = ", ".join(joint_name(model, joint) for joint in reversed_range.tolist())
-        notes.append(f"the range of {names} ends below its start, so it counts as unlimited")
+        text = f"the range of {names} ends below its start, so it counts as unlimited"
+        notes.append(Note(text, "exchange the two ends of the range"))
     return notes

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 
+from armctl.core.note import Note
 from armctl.loading.actuators import mend_solver
 from armctl.loading.catalog import Source
 from armctl.loading.describe import ArmPlan
@@ -89,9 +90,8 @@ def _exclude_touching(
     names = ", ".join(f"{first} with {second}" for first, second in pairs)
     shown_names = names if len(names) <= _MAX_NAMES_CHARACTERS else f"{names[:_MAX_NAMES_CHARACTERS]}..."
     noun = "pair of links" if len(pairs) == 1 else "pairs of links"
-    return [
-        f"contacts of {len(pairs)} {noun} left out, since they touch at home ({shown_names}); srdf= can give the right pairs"
-    ]
+    text = f"contacts of {len(pairs)} {noun} left out, since they touch at home ({shown_names}); srdf= can give the right pairs"
+    return [Note(text, "list the pairs in an SRDF, or as <contact><exclude .../></contact> (MJCF)")]
 
 
 def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPlan]) -> PreparedModel:

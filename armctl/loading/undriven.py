@@ -5,6 +5,8 @@ from collections.abc import Iterator
 
 import mujoco
 
+from armctl.core.note import Note
+
 _SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _NAMES_IN_A_NOTE = 12
 
@@ -33,7 +35,8 @@ def _added_motors(spec: mujoco.MjSpec) -> list[str]:
         added += _add_motors(spec, list(spec.joints), driven)
     if added:
         names = ", ".join(added[:_NAMES_IN_A_NOTE]) + (", ..." if len(added) > _NAMES_IN_A_NOTE else "")
-        notes.append(f"no actuator in the file moves {names:.200}: armctl added motors")
+        advice = "add <actuator><motor joint=.../></actuator> for each joint"
+        notes.append(Note(f"no actuator in the file moves {names:.200}: armctl added motors", advice))
     return notes
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 import numpy as np
 
+from armctl.core.note import Note, Severity
 from armctl.core.validation import Array, shown
 from armctl.mjmodel.queries import joint_name
 
@@ -21,7 +22,7 @@ _UNLIMITED_M = 1000.0  # and more stands for "no limit"
 _MAX_NAMES = 6
 
 
-def unit_doubts(model: mujoco.MjModel, joints: Sequence[int], tip_body: int, tip_offset: Array) -> list[str]:
+def unit_doubts(model: mujoco.MjModel, joints: Sequence[int], tip_body: int, tip_offset: Array) -> list[Note]:
     """A sentence with a remedy for each unit that an arm's file seems to have wrong.
 
     Args:
@@ -30,7 +31,8 @@ def unit_doubts(model: mujoco.MjModel, joints: Sequence[int], tip_body: int, tip
         tip_body: The body in whose frame `tip_offset` is given.
         tip_offset: (3,) the position of the tip there, m.
     """
-    return [*_degrees(model, joints), *_small_ranges(model, joints), *_millimetres(model, joints, tip_body, tip_offset)]
+    doubts = [*_degrees(model, joints), *_small_ranges(model, joints), *_millimetres(model, joints, tip_body, tip_offset)]
+    return [Note(doubt, severity=Severity.ERROR) for doubt in doubts]
 
 
 def _degrees(model: mujoco.MjModel, joints: Sequence[int]) -> Iterator[str]:

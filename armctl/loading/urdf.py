@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
+from armctl.core.note import Note
 from armctl.core.validation import shown
 from armctl.loading.inertias import correct_inertias, inferred_inertias
 from armctl.loading.limits import JointData, default_speed
@@ -20,6 +21,7 @@ from armctl.mjmodel.transmissions import Transmission
 
 _RIGID = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's solimp
 _MAX_NAMED_MESHES = 6  # in a note
+_NOT_FOUND = "not found"
 _READABLE = (".stl", ".obj", ".msh")
 _DENSITY_KG_M3 = 1000.0
 
@@ -148,7 +150,7 @@ def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> 
     for mesh in list(spec.meshes):
         file = Path(mesh.file).name
         found = _locate(path, by_file.get(file) or mesh.file)
-        reason = "not found" if found is None else _unreadable(found)
+        reason = _NOT_FOUND if found is None else _unreadable(found)
         if found is not None and not reason:
             mesh.file = str(found.resolve())
             continue
@@ -159,13 +161,14 @@ def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> 
                     bodies.add(geom.parent.name)
                 spec.delete(geom)
         spec.delete(mesh)
-    notes = []
+    notes: list[str] = []
     for reason, files in left_out.items():
         different = [shown(file) for file in dict.fromkeys(files)]
         more = f" and {len(different) - _MAX_NAMED_MESHES} more" if len(different) > _MAX_NAMED_MESHES else ""
         noun = "mesh" if len(different) == 1 else "meshes"
         names = ", ".join(different[:_MAX_NAMED_MESHES])
-        notes.append(f"collision {noun} {names}{more} left out: {reason:.240}")
+        advice = f"{'copy the meshes beside the file, or ' if reason == _NOT_FOUND else ''}convert them to .stl or .obj"
+        notes.append(Note(f"collision {noun} {names}{more} left out: {reason:.240}", advice))
     return notes, bodies
 
 

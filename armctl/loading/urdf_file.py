@@ -8,6 +8,7 @@ from xml.parsers import expat
 
 from armctl.core.errors import ModelError
 from armctl.core.file_reading import read_bytes, reading, shown_path
+from armctl.core.note import Note
 
 _HEAD_BYTES = 65536  # in which the first element of a file is expected
 _MAX_BYTES = 100_000_000
@@ -142,4 +143,5 @@ def _complete_inertials(root: ElementTree.Element) -> list[str]:
             link.remove(inertial)
         else:
             inertial.append(ElementTree.Element("inertia", _ZERO_INERTIA))
-    return [f"the inertial of {', '.join(names):.200} has no mass or no inertia"] if names else []
+    advice = 'write <mass value="..."/> and <inertia .../> into the <inertial> of these links'
+    return [Note(f"the inertial of {', '.join(names):.200} has no mass or no inertia", advice)] if names else []

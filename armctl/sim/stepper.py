@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from armctl import _core
 from armctl.control.interface import CompiledController, Controller, State, controller_name, has_compiled_law
 from armctl.core.errors import InputError
-from armctl.core.log import SimulationError, LogSource, LogTorques
+from armctl.core.log import LogSource, LogTorques, SimulationError
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, read_only, shown, vector
