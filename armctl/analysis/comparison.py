@@ -15,7 +15,6 @@ from armctl.analysis.report import Report, best_cells, contacts_in_words, report
 from armctl.collision.checkers import collision_checker
 from armctl.control.interface import Controller, controller_name
 from armctl.core.errors import InputError, ModelError, PlanError
-from armctl.core.tables import Table
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import integer, number
 from armctl.design.margins import margins
@@ -115,10 +114,7 @@ class Comparison(list[Report]):
 
 def marked_table(reports: Sequence[Report]) -> str:
     """Reports of one plant, whose column is left out, as an HTML table with the best values marked."""
-    table = report_table(reports)
-    kept = [column for column, title in enumerate(table.header) if title != "plant"]
-    table = Table([table.header[i] for i in kept], [[row[i] for i in kept] for row in table.rows])
-    return table.html(best_cells(reports, table))
+    return report_table(reports, with_plant=False).html(best_cells(reports, with_plant=False))
 
 
 class _Pair(NamedTuple):

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,7 +38,8 @@ class Report(Verdict):
     Attributes:
         ok: Whether the run was completed and the tip was at its goal at the end.
         reason: The reason if it is not ok; empty if it is.
-        verdict: The result in one sentence.
+        outcome: "reached", "not reached", "not reached, not yet at rest" or "failed".
+        verdict: The result in one sentence, which begins with the outcome.
         plant: The differences of the plant from the model.
         joint_rms_rad: Root mean square of q_ref - q over ticks and hinge joints, while the reference moves; NaN without hinges.
         joint_max_rad: The largest of these errors.
@@ -67,6 +69,7 @@ class Report(Verdict):
 
     ok: bool
     reason: str
+    outcome: str
     verdict: str
     robot: str
     controller: str
@@ -129,10 +132,13 @@ class Report(Verdict):
         final = float(distance[-1])
         angle = _angle(log.tip_quat[-1], goal_quat)
         reason = _reason(log, final, angle, tolerance, angle_tolerance)
+        outcome = _outcome(log, reason)
+        details = reason or f"the tip ended {length_text(final)} from its goal after {len(log) * log.dt:.2f} s"
         return cls(
             ok=not reason,
             reason=reason,
-            verdict=_verdict(log, final, reason),
+            outcome=outcome,
+            verdict=f"{outcome}: {details}",
             robot=log.robot,
             controller=log.controller,
             plant=log.plant,
@@ -221,61 +227,71 @@ def table(reports: Sequence[Report]) -> str:
     return report_table(reports).markdown()
 
 
-def report_table(reports: Sequence[Report]) -> Table:
-    """The table of `table`, not yet formatted."""
+class Column(NamedTuple):
+    """A column of a table of reports: its title, its cells and, if a report can be the best in it, what is least then."""
+
+    title: str
+    cell: Callable[[Report], str]
+    rank: Callable[[Report], float] | None = None
+
+
+def report_columns(reports: Sequence[Report], *, with_plant: bool = True) -> list[Column]:
+    """The columns of `table`."""
     joint_units = list(dict.fromkeys(unit for r in reports for unit in r.log.units))
     mixed = len(joint_units) > 1
     joint = "" if mixed else f", {units.label(joint_units)}"
-    columns: dict[str, Callable[[Report], str]] = {
-        "controller": lambda r: r.controller,
-        "plant": lambda r: r.plant,
-        f"joint RMS{joint}": lambda r: _joint_error(r.joint_rms_rad, r.joint_rms_m, with_unit=mixed),
-        f"joint max{joint}": lambda r: _joint_error(r.joint_max_rad, r.joint_max_m, with_unit=mixed),
-        "tip RMS": lambda r: length_text(r.tip_rms_m),
-        "tip max": lambda r: length_text(r.tip_max_m),
-        "final tip error": lambda r: length_text(r.final_tip_error_m),
-        "settled, s": lambda r: _margin_text(r.settling_time_s),
-        "peak torque": lambda r: f"{100 * r.peak_torque_ratio:.0f} %",
-        f"chatter, {units.label(units.of_torque(joint_units))}": lambda r: _chatter_text(r.chatter_nm),
-    }
+    torque = units.label(units.of_torque(joint_units))
+    columns = [Column("controller", lambda r: r.controller)]
+    if with_plant:
+        columns.append(Column("plant", lambda r: r.plant))
+    columns += [
+        Column(
+            f"joint RMS{joint}",
+            lambda r: _joint_error(r.joint_rms_rad, r.joint_rms_m, with_unit=mixed),
+            lambda r: r.joint_rms_rad,
+        ),
+        Column(
+            f"joint max{joint}",
+            lambda r: _joint_error(r.joint_max_rad, r.joint_max_m, with_unit=mixed),
+            lambda r: r.joint_max_rad,
+        ),
+        Column("tip RMS", lambda r: length_text(r.tip_rms_m), lambda r: r.tip_rms_m),
+        Column("tip max", lambda r: length_text(r.tip_max_m), lambda r: r.tip_max_m),
+        Column("final tip error", lambda r: length_text(r.final_tip_error_m), lambda r: r.final_tip_error_m),
+        Column("settled, s", lambda r: _margin_text(r.settling_time_s), lambda r: r.settling_time_s),
+        Column("peak torque", lambda r: f"{100 * r.peak_torque_ratio:.0f} %"),
+        Column(f"chatter, {torque}", lambda r: _chatter_text(r.chatter_nm)),
+    ]
     if not all(math.isnan(r.peak_sensitivity) for r in reports):
-        columns["delay margin, ms"] = lambda r: _margin_text(1e3 * r.delay_margin_s)
-        columns["Ms"] = lambda r: _margin_text(r.peak_sensitivity)
-        columns["slowest pole, 1/s"] = lambda r: _margin_text(r.slowest_pole_per_s)
+        columns += [
+            Column("delay margin, ms", lambda r: _margin_text(1e3 * r.delay_margin_s), lambda r: -r.delay_margin_s),
+            Column("Ms", lambda r: _margin_text(r.peak_sensitivity), lambda r: r.peak_sensitivity),
+            Column("slowest pole, 1/s", lambda r: _margin_text(r.slowest_pole_per_s), lambda r: -r.slowest_pole_per_s),
+        ]
         if any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports):
-            columns["least damping"] = lambda r: _margin_text(r.damping_ratio)
-    columns["verdict"] = lambda r: r.verdict.split(":")[0] + (", with contact" if r.contacts else "")
-    return Table(list(columns), [[cell(r) for cell in columns.values()] for r in reports])
+            columns.append(Column("least damping", lambda r: _margin_text(r.damping_ratio), lambda r: -r.damping_ratio))
+    columns.append(Column("verdict", lambda r: r.outcome + (", with contact" if r.contacts else "")))
+    return columns
 
 
-def best_cells(reports: Sequence[Report], table: Table) -> set[tuple[int, int]]:
+def report_table(reports: Sequence[Report], *, with_plant: bool = True) -> Table:
+    """The table of `table`, not yet formatted."""
+    columns = report_columns(reports, with_plant=with_plant)
+    return Table([column.title for column in columns], [[column.cell(r) for column in columns] for r in reports])
+
+
+def best_cells(reports: Sequence[Report], *, with_plant: bool = True) -> set[tuple[int, int]]:
     """Row and column of the best values in a `report_table`, with those that look the same; runs that failed have none."""
     best: set[tuple[int, int]] = set()
     completed = [i for i, report in enumerate(reports) if not report.log.failure]
-    for column, title in enumerate(table.header):
-        ranked = next((of for begin, of in _RANKED.items() if title.startswith(begin)), None)
-        values = {} if ranked is None else {i: ranked(reports[i]) for i in completed}
+    for column, (_, cell, rank) in enumerate(report_columns(reports, with_plant=with_plant)):
+        values = {} if rank is None else {i: rank(reports[i]) for i in completed}
         rows = [i for i, value in values.items() if not math.isnan(value)]
         if len(rows) < 2:
             continue
-        winner = min(rows, key=values.__getitem__)
-        best |= {(i, column) for i in rows if table.rows[i][column] == table.rows[winner][column]}
+        winner = cell(reports[min(rows, key=values.__getitem__)])
+        best |= {(i, column) for i in rows if cell(reports[i]) == winner}
     return best
-
-
-# By the beginning of a column's title: what is best if it is least.
-_RANKED: dict[str, Callable[[Report], float]] = {
-    "joint RMS": lambda r: r.joint_rms_rad,
-    "joint max": lambda r: r.joint_max_rad,
-    "tip RMS": lambda r: r.tip_rms_m,
-    "tip max": lambda r: r.tip_max_m,
-    "final tip": lambda r: r.final_tip_error_m,
-    "settled": lambda r: r.settling_time_s,
-    "delay margin": lambda r: -r.delay_margin_s,
-    "Ms": lambda r: r.peak_sensitivity,
-    "slowest pole": lambda r: -r.slowest_pole_per_s,
-    "least damping": lambda r: -r.damping_ratio,
-}
 
 
 def _goal(log: Log) -> tuple[Array, Array]:
@@ -301,12 +317,12 @@ def _reason(log: Log, final: float, angle: float, tolerance: float, angle_tolera
     return "; ".join(reasons)
 
 
-def _verdict(log: Log, final: float, reason: str) -> str:
+def _outcome(log: Log, reason: str) -> str:
     if log.failure:
-        return f"failed: {reason}"
+        return "failed"
     if reason:
-        return f"not reached{', not yet at rest' if _is_moving(log) else ''}: {reason}"
-    return f"reached: the tip ended {length_text(final)} from its goal after {len(log) * log.dt:.2f} s"
+        return "not reached, not yet at rest" if _is_moving(log) else "not reached"
+    return "reached"
 
 
 def _is_moving(log: Log) -> bool:

@@ -179,7 +179,7 @@ def test_the_best_values_of_each_plant_are_marked_and_not_those_of_failed_runs(b
     reports = armctl.compare(arm, ["pd", "computed-torque", Breaks()], motion, [armctl.Plant(), armctl.Plant(payload=1.0)])
     for group in reports.plants().values():
         made = report_table(group)
-        marks = best_cells(group, made)
+        marks = best_cells(group)
         assert {made.rows[row][0] for row, _ in marks} <= {"pd", "computed-torque"}
         column = [title.startswith("tip RMS") for title in made.header].index(True)
         best = min(group[:2], key=lambda report: report.tip_rms_m)
