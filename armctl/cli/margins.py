@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.cli import common
+from armctl.core.defaults import MAX_PEAK_SENSITIVITY, MIN_DELAY_MARGIN_S
 
 if TYPE_CHECKING:
     from armctl.robot.arm import Arm
@@ -27,8 +28,18 @@ def add(commands: common.Commands) -> None:
         "--report", type=Path, metavar="DIR", help="write a page with Nyquist, sensitivity and compliance plots"
     )
     tune.add_argument("law", help=f"the controller, of {common.CONTROLLERS_HELP}")
-    tune.add_argument("--delay-margin", default="0.005", metavar="S", help="the smallest permitted one (default 0.005)")
-    tune.add_argument("--peak-sensitivity", default="1.7", metavar="MS", help="the largest permitted one (default 1.7)")
+    tune.add_argument(
+        "--delay-margin",
+        default=str(MIN_DELAY_MARGIN_S),
+        metavar="S",
+        help=f"the smallest permitted one (default {MIN_DELAY_MARGIN_S})",
+    )
+    tune.add_argument(
+        "--peak-sensitivity",
+        default=str(MAX_PEAK_SENSITIVITY),
+        metavar="MS",
+        help=f"the largest permitted one (default {MAX_PEAK_SENSITIVITY})",
+    )
     tune.add_argument("--chatter", metavar="NM", help="the largest permitted torque noise with an encoder of 1e-5 rad")
 
 

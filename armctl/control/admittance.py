@@ -9,11 +9,11 @@ from armctl import _core
 from armctl.control.gain_attribute import Gain, scalar_gain, tip_gain
 from armctl.control.interface import ArmController
 from armctl.control.task_space import POSE_SIZE
+from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
-DEFAULT_BANDWIDTH = 30.0  # rad/s, of the position loop
 YIELDING_BANDWIDTH = 10.0  # rad/s, of the default mass on the default spring
 # The default mass is this multiple of the effective one. A mass below the real one bounces on stiff walls.
 MASS_RATIO = 3.0

@@ -6,9 +6,10 @@ import numpy as np
 
 from armctl import _core
 from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain, word
-from armctl.control.gains import DEFAULT_BANDWIDTH, extra_inertia
+from armctl.control.gains import extra_inertia
 from armctl.control.interface import ArmController, checked_period
 from armctl.control.observer_gains import estimate_weights, feedback_estimate
+from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 

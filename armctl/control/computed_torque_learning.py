@@ -10,8 +10,9 @@ import numpy as np
 from armctl import _core
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.gain_attribute import Gain
-from armctl.control.gains import MAX_BANDWIDTH, MIN_DELAY_MARGIN_S
+from armctl.control.gains import MAX_BANDWIDTH
 from armctl.control.task_space import arm_length
+from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm

@@ -8,9 +8,10 @@ import numpy as np
 
 from armctl import _core
 from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain
-from armctl.control.gains import DELAY_MARGINS_S, MIN_DELAY_MARGIN_S
+from armctl.control.gains import DELAY_MARGINS_S
 from armctl.control.interface import ArmController
 from armctl.control.observer_gains import ObserverGains, estimate_weights, low_pass_weight, observer_gains
+from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 

@@ -7,8 +7,8 @@ from typing import Any
 from armctl import _core
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.gain_attribute import Gain
-from armctl.control.gains import DEFAULT_BANDWIDTH
 from armctl.control.task_space import arm_length
+from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.errors import InputError
 from armctl.core.validation import shown
 from armctl.robot.arm import Arm

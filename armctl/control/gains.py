@@ -11,13 +11,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.defaults import DEFAULT_BANDWIDTH, MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError, ModelError
 from armctl.core.limits import smallest_configuration
 from armctl.core.validation import Array, IntArray, frozen, number, vector
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
-DEFAULT_BANDWIDTH = 30.0  # rad/s, of controllers that compensate the inertia
 SAMPLED_CONFIGURATIONS = 64
 _DESIGN_SEED = 0  # of these; `armctl.margins` judges controllers at others
 _SEARCH_STARTS = 3  # of the search for extreme configurations, and its steps from each
@@ -26,10 +26,8 @@ _SEARCH_STEPS = 150
 MAX_MOTOR_ACCELERATION = 1000.0
 
 # Bounds of the default gains, which hold at configurations that the design did not sample, hence the reserve.
-MIN_DELAY_MARGIN_S = 5e-3
 DELAY_MARGINS_S = (1e-3, 1.0)  # that may be asked for
 MIN_DELAY_MARGIN_PERIODS = 2.5
-MAX_PEAK_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
 _DELAY_RESERVE = 1.04
 _DESIGN_SENSITIVITY = 1.6
 # Where the arm moves continuously, a velocity that is differenced from positions is half a period late. The lag of a step of

@@ -11,13 +11,13 @@ from armctl import _core
 from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain, word
 from armctl.control.interface import ArmController
 from armctl.control.task_space import task_rows
+from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import Array, IntArray, number, shown
 from armctl.robot.arm import Arm
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FRAMES = ("world", "tip")
-DEFAULT_BANDWIDTH = 30.0  # rad/s. Contact forces disturb the motion axes, so it is higher than for free motion.
 
 
 class HybridForce(ArmController):

@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.control.gain_attribute import Gain, joint_gain, optional_gain, scalar_gain
-from armctl.control.gains import DELAY_MARGINS_S, MIN_DELAY_MARGIN_S, required_delay, sampled_inertia
+from armctl.control.gains import DELAY_MARGINS_S, required_delay, sampled_inertia
 from armctl.control.interface import ArmController, checked_period
 from armctl.control.observer_gains import feedback_estimate
+from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array, frozen, number

@@ -4,13 +4,13 @@ import numpy as np
 
 from armctl.control.gains import (
     MAX_GRAVITY_EXCESS,
-    MAX_PEAK_SENSITIVITY,
     margin_gains,
     pd_margins,
     sample_configurations,
     sampled_inertia,
 )
 from armctl.control.impedance import Impedance
+from armctl.core.defaults import MAX_PEAK_SENSITIVITY
 from armctl.robot.arm import Arm
 
 _PERIODS_S = (0.001, 0.002, 0.004)

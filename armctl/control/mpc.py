@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from armctl import _core
 from armctl.control.computed_torque_qp import ComputedTorqueQP
 from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain
-from armctl.control.gains import DEFAULT_BANDWIDTH
+from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from armctl import _core
 from armctl.control.gain_attribute import Gain, scalar_gain
-from armctl.control.gains import DEFAULT_BANDWIDTH
 from armctl.control.interface import ArmController
+from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.robot.arm import Arm
 
 

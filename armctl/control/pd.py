@@ -11,12 +11,12 @@ from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain
 from armctl.control.gains import (
     DELAY_MARGINS_S,
     MAX_BANDWIDTH,
-    MIN_DELAY_MARGIN_S,
     FeedbackGains,
     bandwidth_gains,
     margin_gains,
 )
 from armctl.control.interface import ArmController, checked_period
+from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
 

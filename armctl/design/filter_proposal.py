@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.control.interface import CompiledController, Controller, controller_name
 from armctl.control.torque_filter import LowPass, Notch, TorqueFilter
+from armctl.core.defaults import MAX_PEAK_SENSITIVITY
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, number
 from armctl.design.linearization import Linearizer
@@ -70,7 +71,7 @@ def propose_filter(
     plant: Plant | None = None,
     *,
     delay_margin: float = 5e-3,
-    peak_sensitivity: float = 1.7,
+    peak_sensitivity: float = MAX_PEAK_SENSITIVITY,
 ) -> FilterProposal:
     """Proposes a notch or a low-pass, and gains, so that the loop is as fast as margins permit.
 

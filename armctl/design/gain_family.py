@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from armctl.control import CONTROLLERS
-from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains
+from armctl.control.gains import margin_gains
 from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.interface import Controller
 from armctl.control.lqr import LQR
 from armctl.control.observer_gains import feedback_estimate, observer_gains
+from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.validation import Array, frozen
 from armctl.robot.arm import Arm
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.core.defaults import MAX_PEAK_SENSITIVITY
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.validation import Array, IntArray, integer, number, vector
@@ -42,7 +43,6 @@ _STEP_LEVELS = 12  # of the step response, whose samples lie twice as far apart 
 _STEPS_PER_LEVEL = 16
 _MAX_DOUBLINGS = 60  # of the time over which noise is added up
 _LEAST_SHARE = 1e-14  # of a variance; less is not added any more
-_SHOWN_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
 _BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
 
 
@@ -450,12 +450,12 @@ def draw_loop(figure: Figure, loop: Loop) -> None:
         nyquist.plot(curve.real, curve.imag, color=color)
         sensitivity.loglog(hertz, np.abs(diagonal[:, i]), color=color, label=name)
     angle = np.linspace(0.0, 2 * np.pi, 200)
-    nyquist.plot(np.cos(angle) / _SHOWN_SENSITIVITY - 1, np.sin(angle) / _SHOWN_SENSITIVITY, **_BOUND)
+    nyquist.plot(np.cos(angle) / MAX_PEAK_SENSITIVITY - 1, np.sin(angle) / MAX_PEAK_SENSITIVITY, **_BOUND)
     nyquist.plot(-1.0, 0.0, marker="+", color="black")
     nyquist.set_xlim(-3.0, 1.0)
     nyquist.set_ylim(-2.0, 2.0)
     nyquist.set_aspect("equal")
-    nyquist.set_title(f"Nyquist, the other joints closed (circle: Ms = {_SHOWN_SENSITIVITY:g})")
+    nyquist.set_title(f"Nyquist, the other joints closed (circle: Ms = {MAX_PEAK_SENSITIVITY:g})")
     sensitivity.axhline(1.0, **_BOUND)
     sensitivity.set_title("sensitivity |S| of each joint")
     sensitivity.set_xlabel("frequency, Hz")

@@ -15,6 +15,7 @@ from armctl.control import controller_by_name
 from armctl.control.gains import sample_configurations
 from armctl.control.interface import Controller
 from armctl.control.pd import PD
+from armctl.core.defaults import MAX_PEAK_SENSITIVITY, MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, number, shown
@@ -127,8 +128,8 @@ class Tuning(Verdict):
 def tune(
     arm: Arm,
     law: str,
-    delay_margin: float = 5e-3,
-    peak_sensitivity: float = 1.7,
+    delay_margin: float = MIN_DELAY_MARGIN_S,
+    peak_sensitivity: float = MAX_PEAK_SENSITIVITY,
     chatter: float | None = None,
     poses: int | ArrayLike = 20,
     plants: Sequence[Plant] = (),

@@ -14,6 +14,7 @@ from armctl.collision.clearance import clearance_of
 from armctl.control import controller_by_name
 from armctl.control.interface import Controller, State, controller_name
 from armctl.core import hooks
+from armctl.core.defaults import SETTLE_TIMEOUT_S
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
@@ -32,7 +33,6 @@ from armctl.sim.recorder import Recorder, RunInfo, ticks_for
 from armctl.sim.stepper import AT_REST_SPEED, RESTING_S, ControllerFailure, Stepper, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
 
-_SETTLE_TIMEOUT_S = 1.0  # for the arm to come to rest after a motion
 SETTLE_CHECK_INTERVAL_S = 0.02
 NO_TARGET = np.full(7, np.nan)
 _MAX_CONTACTS_IN_REASON = 3
@@ -192,7 +192,7 @@ class ControlledArms:
         with self.recording(durations, targets) as recorder:
             self._run(trajectories, reference, recorder)
             hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
-            deadline = drive.data.time + _SETTLE_TIMEOUT_S
+            deadline = drive.data.time + SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:
                 tips = {tip: self.tip_pose(tip) for tip in moves}
                 still = all(drive.is_still(self._slices[tip]) for tip in trajectories)
@@ -330,7 +330,7 @@ class ControlledArms:
             missed = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
             return "; ".join([missed, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
         if not self.drive.is_still(self._slices[tip]):
-            return f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
+            return f"the arm has not come to rest within {SETTLE_TIMEOUT_S:g} s"
         return ""
 
     def _result(self, tip: str, move: PlannedMove, pose: Pose, duration: float, reason: str, log: Log | None) -> MoveResult:

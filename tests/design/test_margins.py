@@ -15,9 +15,10 @@ from synthetic import BENT, SHAPES, serial_arm
 import armctl
 from armctl.analysis.describe import facts
 from armctl.control import CONTROLLERS, controller_by_name
-from armctl.control.gains import MAX_PEAK_SENSITIVITY, sample_configurations
+from armctl.control.gains import sample_configurations
 from armctl.control.margin_exceptions import pd_peak_sensitivity
 from armctl.control.observer_gains import PAYLOAD_LEVER_M, max_unknown_payload
+from armctl.core.defaults import MAX_PEAK_SENSITIVITY
 from armctl.design.frequency_response import averaged_response
 from armctl.design.linearization import Linearizer
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from armctl.core.defaults import SETTLE_TIMEOUT_S
 from armctl.core.errors import InputError
 from armctl.core.result import Verdict
 from armctl.core.validation import instance, number
@@ -20,7 +21,6 @@ _DEFAULT_FORCE = 10.0  # N
 _PAD_SPEED = 0.1  # m/s, of the pads relative to each other
 _CHECK_INTERVAL_S = 0.02
 _MIN_WAIT_S = 0.1
-_SETTLE_TIMEOUT_S = 1.0
 _SETTLED_PAD_SPEED = 2e-4  # m/s
 _WIDTH_TOLERANCE = 1e-3  # m
 _FORCE_TOLERANCE = 1e-9  # relative, for forces at the gripper's limit
@@ -247,7 +247,7 @@ class Gripper:
 
     def _settle(self) -> None:
         self._hold(_MIN_WAIT_S)
-        deadline = self._stepper.data.time + _SETTLE_TIMEOUT_S
+        deadline = self._stepper.data.time + SETTLE_TIMEOUT_S
         before = self.width
         while not self._stepper.failure and self._stepper.data.time < deadline:
             self._hold(_CHECK_INTERVAL_S)

@@ -7,6 +7,7 @@ from itertools import product
 import mujoco
 import numpy as np
 
+from armctl.core.defaults import SETTLE_TIMEOUT_S
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.mjmodel.couplings import dofs_of_tendon
@@ -18,7 +19,6 @@ from armctl.sim.plant import brake
 
 _TABLE_SIZE = 12  # widths for which the controls are tabulated
 _TOUCHING_STATES = 2  # of them: the jaws of a nearly closed gripper may touch
-_SETTLE_TIMEOUT_S = 1.0  # for each of them
 _MIN_SETTLE_S = 0.1
 _SETTLED_SPEED = 1e-4  # rad/s, m/s
 _MIN_OPENING = 1e-3  # m
@@ -236,7 +236,7 @@ def _settled(
     data = copy.copy(start)
     data.ctrl[model.actuator_ctrladr[list(actuators)]] = ctrl
     begin = data.time
-    while data.time < begin + _SETTLE_TIMEOUT_S:
+    while data.time < begin + SETTLE_TIMEOUT_S:
         mujoco.mj_step(model, data, 10)
         if data.time > begin + _MIN_SETTLE_S and np.abs(data.qvel[dofs]).max() < _SETTLED_SPEED:
             break

@@ -1,0 +1,6 @@
+"""Numbers that several modules share. Those that the compiled core needs, too, are its own: `armctl._core` has them."""
+
+DEFAULT_BANDWIDTH = 30.0  # rad/s, of controllers that compensate the inertia
+MIN_DELAY_MARGIN_S = 5e-3  # of default gains
+MAX_PEAK_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
+SETTLE_TIMEOUT_S = 1.0  # for an arm or a gripper to come to rest
