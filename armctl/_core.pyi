@@ -238,7 +238,47 @@ class EnvironmentRows:
     Several copies of an arm, each with its own simulation, controller and target.
     """
 
-    def __init__(self, api: MujocoApi, arm: ArmModel, law: Law, **given) -> None:
+    def __init__(
+        self,
+        api: MujocoApi,
+        arm: ArmModel,
+        law: Law,
+        *,
+        gear: numpy.ndarray,
+        qpos_addresses: numpy.ndarray,
+        dof_addresses: numpy.ndarray,
+        ctrl_addresses: numpy.ndarray,
+        limits: numpy.ndarray,
+        home_tip: numpy.ndarray,
+        mode: int,
+        size: int,
+        ticks: int,
+        dt: float,
+        joint_scale: float,
+        position_scale: float,
+        rotation_scale: float,
+        smoothing: int,
+        approach_rate: float,
+        tip_damping: float,
+        gripper_ctrl: numpy.ndarray,
+        gripper_length: numpy.ndarray,
+        gripper_ends: numpy.ndarray,
+        grip_step: float,
+        object_addresses: numpy.ndarray | None = None,
+        obstacle: int | None = None,
+        max_delay: int,
+        q: numpy.ndarray,
+        action: numpy.ndarray,
+        v: numpy.ndarray,
+        target: numpy.ndarray,
+        q_ref: numpy.ndarray,
+        v_ref: numpy.ndarray,
+        tip: numpy.ndarray,
+        opening: numpy.ndarray,
+        object: numpy.ndarray,
+        touched: numpy.ndarray,
+        noise: numpy.ndarray | None = None,
+    ) -> None:
         """
         Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains the arguments.
         """
@@ -532,34 +572,36 @@ class Law:
 class PD(Law):
     """tau = stiffness (q_ref - q) + damping (v_ref - v)"""
 
-    def __init__(self, **kwargs) -> None: ...
+    def __init__(self, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
+
+class PDFeedforward(Law):
+    """PD with the torque of the reference motion."""
+
+    def __init__(self, of: ArmModel, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
+
+class PDGravity(Law):
+    """PD with gravity compensation."""
+
+    def __init__(self, of: ArmModel, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
 
 class TorqueRateLimit(Law):
     """A law whose torques change at limited rates."""
 
-    def __init__(self, of: Law, **gains) -> None: ...
+    def __init__(self, of: Law, *, tau_rate_max: numpy.ndarray, dt: float) -> None: ...
 
 class TorqueFilter(Law):
-    """A law whose torques go through filters of second-order sections."""
+    """
+    A law whose torques go through filters of second-order sections: rows of b0, b1, b2, a0 = 1, a1, a2, as in SciPy.
+    """
 
-    def __init__(self, of: Law, **gains) -> None: ...
+    def __init__(self, of: Law, *, sections: numpy.ndarray) -> None: ...
 
 class CFunctionLaw(Law):
     """
     A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.
     """
 
-    def __init__(self, address: int, **gains) -> None: ...
-
-class PDFeedforward(Law):
-    """PD with the torque of the reference motion."""
-
-    def __init__(self, of: ArmModel, **gains) -> None: ...
-
-class PDGravity(Law):
-    """PD with gravity compensation."""
-
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(self, address: int, *, n: int, parameters: numpy.ndarray, memory_size: int, needs_wrench: bool) -> None: ...
 
 class ComputedTorque(Law):
     """
@@ -706,7 +748,24 @@ class MujocoApi:
     MuJoCo's functions by their addresses, and where mjData keeps contacts.
     """
 
-    def __init__(self, empty_model: object, **given) -> None: ...
+    def __init__(
+        self,
+        empty_model: object,
+        *,
+        step: int,
+        rne_post_constraint: int,
+        make_batch: int,
+        delete_batch: int,
+        apply: int,
+        error: int,
+        contact_count: int,
+        contact_array: int,
+        contact_stride: int,
+        contact_geoms: int,
+        contact_exclude: int,
+        repair_first: int,
+        repair_stride: int,
+    ) -> None: ...
 
 class Delay:
     """Commands that reach the motors some ticks after they were given."""
@@ -723,7 +782,23 @@ class Delay:
 class WrenchSensor:
     """The wrench of the environment on a tip, true or measured."""
 
-    def __init__(self, api: MujocoApi, model: object, data: object, arm: ArmModel, **given) -> None:
+    def __init__(
+        self,
+        api: MujocoApi,
+        model: object,
+        data: object,
+        arm: ArmModel,
+        *,
+        bodies: numpy.ndarray,
+        root: int,
+        tip: int,
+        offset: numpy.ndarray,
+        is_connected: bool,
+        is_sampled: bool,
+        dt: float,
+        delay: int,
+        estimated: int,
+    ) -> None:
         """
         A sensor in a mujoco.MjModel and MjData; armctl/cpp/wrench_sensor.hpp explains the arguments.
         """
@@ -801,12 +876,53 @@ class TickLoop:
     The tick loop of one simulation: measure, control, step, record. One thread at a time.
     """
 
-    def __init__(self, api: MujocoApi, model: object, data: object, pushed_arm: ArmModel, **given) -> None:
+    def __init__(
+        self,
+        api: MujocoApi,
+        model: object,
+        data: object,
+        pushed_arm: ArmModel,
+        *,
+        gear: numpy.ndarray,
+        qpos_addresses: numpy.ndarray,
+        dof_addresses: numpy.ndarray,
+        ctrl_addresses: numpy.ndarray,
+        motor_addresses: numpy.ndarray,
+        substeps: int,
+        dt: float,
+        diverged_speed: float,
+    ) -> None:
         """
         The loop of a mujoco.MjModel and MjData; armctl/cpp/tick_loop.hpp explains the arguments.
         """
 
-    def run(self, law: Law, end: TickEnd, delay: Delay | None, sensor: WrenchSensor | None, touching: bytes, **ticks) -> None:
+    def run(
+        self,
+        law: Law,
+        end: TickEnd,
+        delay: Delay | None,
+        sensor: WrenchSensor | None,
+        touching: bytes,
+        *,
+        v_rows: numpy.ndarray,
+        first: int,
+        last: int,
+        q: numpy.ndarray,
+        v: numpy.ndarray,
+        a: numpy.ndarray,
+        v_tick: numpy.ndarray,
+        a_tick: numpy.ndarray,
+        qpos_rows: numpy.ndarray,
+        command_rows: numpy.ndarray,
+        torque_rows: numpy.ndarray,
+        wrench_rows: numpy.ndarray | None = None,
+        noise: numpy.ndarray | None = None,
+        pushes: numpy.ndarray | None = None,
+        push: numpy.ndarray | None = None,
+        last_position: numpy.ndarray | None = None,
+        times: numpy.ndarray | None = None,
+        wrench_noise: numpy.ndarray | None = None,
+    ) -> None:
         """
         Runs the ticks [first, last) of a reference and records them; `Ticks` in armctl/cpp/tick_loop.hpp explains the arrays.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Self
-
 from numpy.typing import ArrayLike
 
 from armctl import _core
@@ -22,7 +20,9 @@ class CFunctionLaw(_core.CFunctionLaw):
     How many of `parameters` and `memory` it uses cannot be checked: it must not read or write behind them.
     """
 
-    def __new__(cls, address: int, *, n: int, parameters: ArrayLike, memory_size: int = 0, needs_wrench: bool = False) -> Self:
+    def __init__(
+        self, address: int, *, n: int, parameters: ArrayLike, memory_size: int = 0, needs_wrench: bool = False
+    ) -> None:
         """A law from the address of its function, which has to exist as long as the law.
 
         Args:
@@ -35,10 +35,8 @@ class CFunctionLaw(_core.CFunctionLaw):
         Raises:
             InputError: The address is 0, or an argument is of another kind or outside its bounds.
         """
-        return super().__new__(
-            cls,
-            # The stub shows __new__ of the base as __init__.
-            integer("address", address, 1, _MAX_ADDRESS),  # pyright: ignore[reportCallIssue]
+        super().__init__(
+            integer("address", address, 1, _MAX_ADDRESS),
             n=integer("n", n, 1, MAX_JOINTS),
             parameters=array("parameters", parameters, 1, finite=False),
             memory_size=integer("memory_size", memory_size, 0, MAX_MEMORY),

@@ -28,31 +28,27 @@ struct ActionLimits {
 
 // Numbers of an action are in [-1, 1].
 struct ActionOptions {
-    // The members by name; `limits` (5, n) are those of ActionLimits, `home_tip` (12,) is translation and rotation matrix.
-    ActionOptions(const Arguments& named, size_t n) : given(named) {
-        const Matrix rows = given.matrix(5, n, "limits");
-        for (size_t i = 0; i < n; ++i) { limits.push_back({rows(0, i), rows(1, i), rows(2, i), rows(3, i), rows(4, i)}); }
+    ActionMode mode = ActionMode::torque;
+    std::vector<ActionLimits> limits;  // of each joint
+    size_t size = 0;                   // numbers of an action
+    size_t ticks = 0;                  // of a step
+    double dt = 0.0;                   // s, the control period
+    double joint_scale = 0.0;          // s: a full action moves a joint's target as far as full speed does in this time
+    double position_scale = 0.0;       // m, of a full cartesian action
+    double rotation_scale = 0.0;       // rad, of a full cartesian action
+    size_t smoothing = 1;              // ticks over which the reference is averaged
+    double approach_rate = 0.0;        // 1/s, at which a reference approaches its target near the end
+    double tip_damping = 0.0;          // of the inverse Jacobian, squared
+    Pose T_world_home;                 // of the tip, where cartesian poses begin
+
+    // Throws InputError if an arm of n joints cannot act so.
+    void check(size_t n) const {
         const bool is_cartesian = mode == ActionMode::cartesian_delta || mode == ActionMode::cartesian_pose;
         const bool has_right_size = is_cartesian ? size == 3 || size == 6 : size == n;
-        if (!has_right_size || ticks == 0 || smoothing == 0 || !(dt > 0.0)) {
+        if (!has_right_size || limits.size() != n || ticks == 0 || smoothing == 0 || !(dt > 0.0)) {
             throw InputError("action: need a number for each joint, or 3 or 6 for the tip; and a positive dt, ticks and smoothing");
         }
     }
-
-    const Arguments& given;  // it exists while this object is made
-    ActionMode mode = static_cast<ActionMode>(given.integer("mode"));
-    std::vector<ActionLimits> limits;
-    size_t size = given.count("size");                 // numbers of an action
-    size_t ticks = given.count("ticks");               // of a step
-    double dt = given.number("dt");                    // s, the control period
-    double joint_scale = given.number("joint_scale");  // s: a full action moves a joint's target as far as full speed does in this time
-    double position_scale = given.number("position_scale");  // m, of a full cartesian action
-    double rotation_scale = given.number("rotation_scale");  // rad, of a full cartesian action
-    size_t smoothing = given.count("smoothing");             // ticks over which the reference is averaged
-    double approach_rate = given.number("approach_rate");    // 1/s, at which a reference approaches its target near the end
-    double tip_damping = given.number("tip_damping");        // of the inverse Jacobian, squared
-    // The tip at home, where cartesian poses begin.
-    Pose T_world_home{Rotation::from_rows(given.vector(12, "home_tip").subspan(3)), vec3(given.vector(12, "home_tip"))};
 };
 
 // A number of an action within [-1, 1]; 0 if it is not a number.

@@ -46,6 +46,10 @@ public:
         return {values.begin(), values.end()};
     }
 
+    // The same of any length.
+    Numbers numbers(const char* name) const { return numbers(length(name), name); }
+    Integers integers(const char* name) const { return integers(length(name), name); }
+
 private:
     const nanobind::kwargs* given_;
 };

@@ -4,6 +4,7 @@
 #include <memory>
 
 #include "arguments.hpp"
+#include "errors.hpp"
 #include "linear_algebra.hpp"
 
 namespace armctl {
@@ -30,7 +31,7 @@ struct Setpoint {
 
 // A control law. Its calls use memory and scratch of the object: one thread at a time, and one arm.
 //
-// A law reads its gains from `Arguments`, with the names of its members.
+// A law is made from its model and a struct of its gains; InputError if these do not fit the arm.
 class Law {
 public:
     virtual ~Law() = default;

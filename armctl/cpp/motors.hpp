@@ -2,8 +2,8 @@
 #pragma once
 #include <cmath>
 
-#include "arguments.hpp"
 #include "errors.hpp"
+#include "linear_algebra.hpp"
 #include "mujoco_api.hpp"
 
 namespace armctl {
@@ -17,28 +17,7 @@ struct Motor {
     double gear = 1.0;  // torque per unit of ctrl, and of force
 };
 
-// An address of an array's element; a negative one is beyond each array.
-inline size_t address(std::int64_t number) { return static_cast<size_t>(number); }
-
 using Motors = std::vector<Motor>;
-
-// The motors of an arm, (n,) each: `qpos_addresses`, `dof_addresses`, `ctrl_addresses` and `gear`; and
-// `motor_addresses` where their torques are read.
-inline Motors motors_of(const Arguments& given) {
-    Motors motors(given.length("gear"));
-    const size_t n = motors.size();
-    const bool has_forces = given.has("motor_addresses");
-    for (size_t i = 0; i < n; ++i) {
-        motors[i] = {
-            .qpos = address(given.integers(n, "qpos_addresses")[i]),
-            .dof = address(given.integers(n, "dof_addresses")[i]),
-            .ctrl = address(given.integers(n, "ctrl_addresses")[i]),
-            .force = has_forces ? address(given.integers(n, "motor_addresses")[i]) : 0,
-            .gear = given.vector(n, "gear")[i],
-        };
-    }
-    return motors;
-}
 
 // Throws InputError if an address is not in the arrays of a simulation.
 inline void check_addresses(const Motors& motors, const MujocoSimulation& simulation) {

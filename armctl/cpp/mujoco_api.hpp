@@ -1,13 +1,14 @@
 // What the core uses of MuJoCo: functions by their public symbols, the arrays of a simulation, its contacts, and calls that
 // survive MuJoCo's errors.
 #pragma once
+#include <algorithm>
 #include <array>
 #include <cstring>
 #include <memory>
 #include <string>
 
-#include "arguments.hpp"
 #include "errors.hpp"
+#include "spans.hpp"
 
 namespace armctl {
 
@@ -51,26 +52,6 @@ inline bool has_repaired(const RepairLayout& layout, const MujocoData* data) {
 
 // MuJoCo's functions, with the signatures of mujoco.h and mjbatch.h.
 struct MujocoApi {
-    // `empty` is for the batch in which functions are called; they work on other models. The arguments are the addresses of the
-    // functions, and the layouts as contact_count, repair_first and so on.
-    MujocoApi(const MujocoModel* empty, const Arguments& given)
-        : empty_model(empty),
-          contacts{
-              .count = given.count("contact_count"),
-              .array = given.count("contact_array"),
-              .stride = given.count("contact_stride"),
-              .geoms = given.count("contact_geoms"),
-              .exclude = given.count("contact_exclude"),
-          },
-          repairs{.first = given.count("repair_first"), .stride = given.count("repair_stride")} {
-        set(step, given, "step");
-        set(rne_post_constraint, given, "rne_post_constraint");
-        set(make_batch, given, "make_batch");
-        set(delete_batch, given, "delete_batch");
-        set(apply, given, "apply");
-        set(error, given, "error");
-    }
-
     using Step = void (*)(const MujocoModel*, MujocoData*);
     using BatchFunction = void (*)(const MujocoModel*, MujocoData*, int simulation, void* argument);
 
@@ -86,16 +67,9 @@ struct MujocoApi {
     void (*delete_batch)(MujocoBatch*) = nullptr;
     int (*apply)(MujocoBatch*, const int* ids, int id_count, BatchFunction, void* argument, int save) = nullptr;  // mjb_apply
     const char* (*error)(const MujocoBatch*, int simulation) = nullptr;                                           // mjb_error
-    const MujocoModel* empty_model;
+    const MujocoModel* empty_model = nullptr;  // for the batch in which functions are called; they work on other models
     ContactLayout contacts;
     RepairLayout repairs;
-
-private:
-    // A function from its address.
-    template <class Function>
-    static void set(Function& function, const Arguments& given, const char* name) {
-        function = reinterpret_cast<Function>(given.integer(name));  // NOLINT(performance-no-int-to-ptr): Python has it as a number
-    }
 };
 
 // A simulation and the arrays of its mjData. The owner of this struct keeps mjModel and mjData alive.

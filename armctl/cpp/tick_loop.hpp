@@ -29,60 +29,58 @@ struct TickEnd {
 
 // The ticks [first, last) of a trajectory, and what they are recorded in. What is not given is empty.
 struct Ticks {
-    Ticks(const Arguments& named, size_t joints, size_t positions) : given(named), n(joints), nq(positions) {
-        if (first > last || last > ticks) { throw InputError("first, last: they are not rows of the reference"); }
-    }
-
-    const Arguments& given;
-    size_t n;
-    size_t nq;
-    size_t first = given.count("first");
-    size_t last = given.count("last");
-    size_t ticks = given.length("v_rows");
-    size_t coming = last - first;
+    size_t first = 0;
+    size_t last = 0;
     // The trajectory, (ticks, n) each.
-    Matrix q = given.matrix(ticks, n, "q");
-    Matrix v = given.matrix(ticks, n, "v");
-    Matrix a = given.matrix(ticks, n, "a");
-    Matrix v_tick = given.matrix(ticks, n, "v_tick");
-    Matrix a_tick = given.matrix(ticks, n, "a_tick");
+    Matrix q;
+    Matrix v;
+    Matrix a;
+    Matrix v_tick;
+    Matrix a_tick;
     // The records.
-    MatrixResult qpos_rows = given.writable_matrix(ticks, nq, "qpos_rows");       // (ticks, nq) of the whole model
-    MatrixResult v_rows = given.writable_matrix(ticks, n, "v_rows");              // (ticks, n) rad/s
-    MatrixResult command_rows = given.writable_matrix(ticks, n, "command_rows");  // (ticks, n) N m
-    MatrixResult torque_rows = given.writable_matrix(ticks, n, "torque_rows");    // (ticks, n) N m, what the motors did
-    // (ticks, 6) the true wrench, if it is measured.
-    MatrixResult wrench_rows = given.has("wrench_rows") ? given.writable_matrix(ticks, 6, "wrench_rows") : MatrixResult();
-    // What disturbs the signals. The first row is that of the first tick: (last - first, 2, n) on measured positions and
-    // velocities, (last - first, 6) N and N m on the tip, and (6,) the wrench of the last tick, which the loop writes.
-    Vector noise = given.has("noise") ? given.shaped({coming, 2, n}, "noise") : Vector();
-    Matrix pushes = given.has("pushes") ? given.matrix(coming, 6, "pushes") : Matrix();
-    Result push = given.has("push") ? given.writable({6}, "push") : Result();
-    // (n,) of the last tick, NaN at the first one, if measured velocities are differences of positions.
-    Result last_position = given.has("last_position") ? given.writable({n}, "last_position") : Result();
-    // (last - first,) s, and (last - first, 6), for the sensor.
-    Vector times = given.has("times") ? given.vector(coming, "times") : Vector();
-    Matrix wrench_noise = given.has("wrench_noise") ? given.matrix(coming, 6, "wrench_noise") : Matrix();
+    MatrixResult qpos_rows;      // (ticks, nq) of the whole model
+    MatrixResult v_rows;         // (ticks, n) rad/s
+    MatrixResult command_rows;   // (ticks, n) N m
+    MatrixResult torque_rows;    // (ticks, n) N m, what the motors did
+    MatrixResult wrench_rows{};  // (ticks, 6) the true wrench, if it is measured
+    // What disturbs the signals. The first row is that of the first tick.
+    Vector noise{};          // (last - first, 2, n) on measured positions and velocities
+    Matrix pushes{};         // (last - first, 6) N and N m on the tip
+    Result push{};           // (6,) the wrench of the last tick, which the loop writes
+    Result last_position{};  // (n,) of the last tick, NaN at the first one, if measured velocities are differences of positions
+    // For the sensor.
+    Vector times{};         // (last - first,) s
+    Matrix wrench_noise{};  // (last - first, 6)
+
+    // How many they are; InputError if they are not in the trajectory.
+    size_t count() const {
+        if (first > last || last > v_rows.rows) { throw InputError("first, last: they are not rows of the reference"); }
+        return last - first;
+    }
 
     Setpoint setpoint(size_t row) const {
         return {q.row(row), v.row(row), a.row(row), v_tick.row(row), a_tick.row(row), q.from(row), v_tick.from(row), a_tick.from(row)};
     }
 };
 
+struct TickLoopOptions {
+    Motors motors;
+    size_t substeps = 1;          // steps of MuJoCo in a tick
+    double dt = 0.0;              // s, the tick
+    double diverged_speed = 0.0;  // rad/s, the norm of the velocities from which a simulation counts as diverged
+};
+
 // The loop of one simulation. It is used by one thread at a time: a call while another runs throws InputError.
 class TickLoop {
 public:
-    // `pushed_arm` is the arm on whose tip pushes act; its joints are the first ones. The motors are those of `motors_of`;
-    // `substeps` are the steps of MuJoCo in a tick of `dt` s, `diverged_speed`, rad/s, is the norm of the velocities from which a
-    // simulation counts as diverged.
-    TickLoop(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, const Model& pushed_arm, const Arguments& given)
-        : api_(std::move(api)), simulation_(simulation), motors_(motors_of(given)), pushed_(pushed_arm), substeps_(given.count("substeps")),
-          dt_(given.number("dt")), diverged_speed_(given.number("diverged_speed")) {
-        check_addresses(motors_, simulation_);
+    // `pushed_arm` is the arm on whose tip pushes act; its joints are the first ones.
+    TickLoop(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, const Model& pushed_arm, TickLoopOptions options)
+        : api_(std::move(api)), simulation_(simulation), options_(std::move(options)), pushed_(pushed_arm) {
+        check_addresses(options_.motors, simulation_);
         if (pushed_arm->n() > joints()) { throw InputError("pushed_arm: it has more joints than the simulation has motors"); }
     }
 
-    size_t joints() const { return motors_.size(); }
+    size_t joints() const { return options_.motors.size(); }
     const MujocoSimulation& simulation() const { return simulation_; }
 
     // Throws InputError if the ticks cannot run with a law, a delay and a sensor, each of which may be null.
@@ -99,7 +97,7 @@ public:
             throw InputError("pushes: they need a delay, and `push`, where the last one is noted");
         }
         const bool is_sensed = sensor != nullptr && !ticks.times.empty() && ticks.wrench_rows.rows > 0;
-        if (ticks.first < ticks.last && (law.needs_wrench() || sensor != nullptr) && !is_sensed) {
+        if (ticks.count() > 0 && (law.needs_wrench() || sensor != nullptr) && !is_sensed) {
             throw InputError("sensor: a law that needs the wrench needs a sensor, the times of the ticks, and wrench_rows");
         }
     }
@@ -123,12 +121,12 @@ private:
         for (size_t row = ticks.first; row < ticks.last; ++row) {
             end.row = row;
             copy(simulation_.qpos, ticks.qpos_rows.row(row));
-            const double speed = read_joints(motors_, simulation_, q_, ticks.v_rows.row(row));
+            const double speed = read_joints(options_.motors, simulation_, q_, ticks.v_rows.row(row));
             copy(q_, q_seen_);
             copy(ticks.v_rows.row(row), v_seen_);
             measure_velocity(ticks.last_position);
             add_noise(ticks.noise, row - ticks.first, q_seen_, v_seen_);
-            if (!(speed < diverged_speed_)) {
+            if (!(speed < options_.diverged_speed)) {
                 end.status = TickStatus::diverged;
                 return;
             }
@@ -140,12 +138,12 @@ private:
                 return;
             }
             drive(ticks, delay, row);
-            for (size_t k = 0; k < substeps_; ++k) { api_->step(simulation_.model, simulation_.data); }
+            for (size_t k = 0; k < options_.substeps; ++k) { api_->step(simulation_.model, simulation_.data); }
             if (has_repaired(api_->repairs, simulation_.data)) {
                 end.status = TickStatus::repaired;
                 return;
             }
-            read_torques(motors_, simulation_, ticks.torque_rows.row(row));
+            read_torques(options_.motors, simulation_, ticks.torque_rows.row(row));
             end.count = row + 1;
             note_contacts(row, touching, end);
         }
@@ -154,7 +152,7 @@ private:
     // Replaces the true velocity by the difference of positions over the last tick.
     void measure_velocity(Result last_position) {
         for (size_t i = 0; i < last_position.size(); ++i) {
-            if (!std::isnan(last_position[i])) { v_seen_[i] = (q_[i] - last_position[i]) / dt_; }
+            if (!std::isnan(last_position[i])) { v_seen_[i] = (q_[i] - last_position[i]) / options_.dt; }
             last_position[i] = q_[i];
         }
     }
@@ -162,7 +160,7 @@ private:
     // The wrench for the law, (6,), and the true one for its row.
     Vector measured_wrench(const Ticks& ticks, WrenchSensor& sensor, size_t row) {
         const size_t tick = row - ticks.first;
-        read_torques(motors_, simulation_, tau_);
+        read_torques(options_.motors, simulation_, tau_);
         const WrenchSignals signals{
             .t = ticks.times[tick],
             .q = q_seen_,
@@ -179,12 +177,12 @@ private:
 
     // Sets the controls of the motors from the commanded torque, and the forces of pushes.
     void drive(const Ticks& ticks, Delay* delay, size_t row) {
-        command_motors(motors_, delay == nullptr ? Vector(tau_) : delay->delayed(tau_), simulation_);
+        command_motors(options_.motors, delay == nullptr ? Vector(tau_) : delay->delayed(tau_), simulation_);
         if (delay == nullptr || ticks.pushes.rows == 0) { return; }
         const Vector push = ticks.pushes.row(row - ticks.first);
         const Result torque = Result(tau_).first(pushed_.model().n());  // the command is recorded already
         pushed_.tip_force(Vector(q_).first(torque.size()), push, torque);
-        for (size_t i = 0; i < torque.size(); ++i) { simulation_.qfrc_applied[motors_[i].dof] = torque[i]; }
+        for (size_t i = 0; i < torque.size(); ++i) { simulation_.qfrc_applied[options_.motors[i].dof] = torque[i]; }
         copy(push, ticks.push);
     }
 
@@ -206,11 +204,8 @@ private:
 
     std::shared_ptr<const MujocoApi> api_;
     MujocoSimulation simulation_;
-    Motors motors_;
+    TickLoopOptions options_;
     Dynamics pushed_;
-    size_t substeps_;
-    double dt_;
-    double diverged_speed_;
     std::mutex in_use_;
     Numbers q_ = zeros(), q_seen_ = zeros(), v_seen_ = zeros(), tau_ = zeros();
     Wrench wrench_{};

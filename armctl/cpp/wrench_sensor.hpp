@@ -86,25 +86,30 @@ private:
     Numbers last_q_ = zeros(), last_v_ = zeros(), filtered_ = zeros(), acceleration_ = zeros(), needed_ = zeros();
 };
 
+struct WrenchSensorOptions {
+    std::vector<size_t> bodies;  // behind the arm's last joint
+    size_t root = 0;             // the body of the tree
+    size_t tip = 0;              // the body of the tip
+    Vec3 offset;                 // m, of the tip in its body
+    bool is_connected = false;   // whether equalities act on bodies of the model
+    bool is_sampled = false;     // whether noise, delay or an estimate makes the measurement differ from the true wrench
+    double dt = 0.0;             // s, the tick
+    size_t delay = 0;            // ticks after which the sensor gives a wrench
+    // Numbers of the wrench, 3 or 6, that follow from the torques of the motors; 0 if a flange sensor measures it.
+    size_t estimated = 0;
+};
+
 class WrenchSensor {
 public:
-    // `bodies` are those behind the arm's last joint, `root` is the body of the tree, `tip` that of the tip, which has an `offset`
-    // (3,) m there; `is_connected` if equalities act on bodies of the model. `dt` s is the tick, `delay` the ticks after which the
-    // sensor gives a wrench; `is_sampled` if noise, delay or an estimate makes the measurement differ from the true wrench.
-    // `estimated` numbers of the wrench follow from the torques of the motors; 0 if a flange sensor measures it.
-    WrenchSensor(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, const Model& arm, const Arguments& given)
-        : api_(std::move(api)), simulation_(simulation), joints_(arm->n()),
-          root_(checked_index(given.integer("root"), simulation.xpos.rows, "root")),
-          tip_(checked_index(given.integer("tip"), simulation.xpos.rows, "tip")), offset_(vec3(given.vector(3, "offset"))),
-          is_connected_(given.flag("is_connected")), is_sampled_(given.flag("is_sampled")),
-          // Those of the delay, the newest one, and one in reserve: a rounding error may keep a sample a tick longer.
-          max_age_((given.number("delay") + 0.5) * given.number("dt")), max_samples_(given.count("delay") + 2) {
-        for (const std::int64_t body : given.integers(given.length("bodies"), "bodies")) {
-            bodies_.push_back(checked_index(body, simulation.xpos.rows, "bodies"));
-        }
-        const size_t estimated = given.count("estimated");
+    WrenchSensor(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, const Model& arm, WrenchSensorOptions options)
+        : api_(std::move(api)), simulation_(simulation), joints_(arm->n()), options_(std::move(options)) {
+        const size_t count = simulation.xpos.rows;
+        require_index(options_.root, count, "root");
+        require_index(options_.tip, count, "tip");
+        for (const size_t body : options_.bodies) { require_index(body, count, "bodies"); }
+        const size_t estimated = options_.estimated;
         if (estimated != 0 && estimated != 3 && estimated != 6) { throw InputError("estimated: need 0, 3 or 6"); }
-        if (estimated > 0) { estimate_.emplace(arm, given.number("dt"), estimated); }
+        if (estimated > 0) { estimate_.emplace(arm, options_.dt, estimated); }
     }
 
     size_t joints() const { return joints_; }
@@ -129,16 +134,17 @@ public:
     // What the sensor gives at this tick, the same until the next one. Sets `truth` to the true wrench.
     Wrench measure(const WrenchSignals& signals, Wrench& truth) {
         truth = read(signals.push);
-        if (!is_sampled_) { return truth; }
+        if (!options_.is_sampled) { return truth; }
         if (samples_.empty() || samples_.back().t != signals.t) {
             Wrench wrench = estimate_ ? estimate_->update(signals) : truth;
             add(signals.noise, wrench);
             samples_.push_back({signals.t, wrench});
         }
         // The caller's ticks may be shorter than those of the sensor.
-        while (samples_.size() > max_samples_ || (samples_.size() > 1 && samples_.front().t < signals.t - max_age_)) {
-            samples_.pop_front();
-        }
+        const auto is_too_old = [&](const Sample& sample) {
+            return sample.t < signals.t - (static_cast<double>(options_.delay) + 0.5) * options_.dt;
+        };
+        while (samples_.size() > max_samples() || (samples_.size() > 1 && is_too_old(samples_.front()))) { samples_.pop_front(); }
         return samples_.front().wrench;
     }
 
@@ -148,13 +154,16 @@ private:
         Wrench wrench{};
     };
 
+    // Those of the delay, the newest one, and one in reserve: a rounding error may keep a sample a tick longer.
+    size_t max_samples() const { return options_.delay + 2; }
+
     // Adds a wrench, if there is one.
     static void add(Vector added, Result wrench) {
         for (size_t k = 0; k < added.size(); ++k) { wrench[k] += added[k]; }
     }
 
     bool is_loaded() const {
-        if (is_connected_ || Contacts(api_->contacts, simulation_.data).count() != 0) { return true; }
+        if (options_.is_connected || Contacts(api_->contacts, simulation_.data).count() != 0) { return true; }
         const Matrix& applied = simulation_.xfrc_applied;
         return std::ranges::any_of(Vector(applied.data, applied.rows * applied.columns), [](double force) { return force != 0.0; });
     }
@@ -164,13 +173,13 @@ private:
     Wrench external_wrench() const {
         Vec3 force;
         Vec3 moment;  // about the center of mass of the tree
-        for (const size_t body : bodies_) {
+        for (const size_t body : options_.bodies) {
             const Vector external = simulation_.cfrc_ext.row(body);
             moment += vec3(external);
             force += vec3(external.subspan(3));
         }
-        const Pose T_world_tip_body{Rotation::from_rows(simulation_.xmat.row(tip_)), vec3(simulation_.xpos.row(tip_))};
-        const Vec3 lever = T_world_tip_body * offset_ - vec3(simulation_.subtree_com.row(root_));
+        const Pose T_world_tip_body{Rotation::from_rows(simulation_.xmat.row(options_.tip)), vec3(simulation_.xpos.row(options_.tip))};
+        const Vec3 lever = T_world_tip_body * options_.offset - vec3(simulation_.subtree_com.row(options_.root));
         moment -= cross(lever, force);
         return numbers({force, moment});
     }
@@ -178,15 +187,8 @@ private:
     std::shared_ptr<const MujocoApi> api_;
     MujocoSimulation simulation_;
     size_t joints_;
-    std::vector<size_t> bodies_;
-    size_t root_;
-    size_t tip_;
-    Vec3 offset_;
-    bool is_connected_;
-    bool is_sampled_;
-    double max_age_;  // s, of the sample that the sensor gives
+    WrenchSensorOptions options_;
     std::optional<WrenchEstimate> estimate_;
-    size_t max_samples_;
     std::deque<Sample> samples_;
 };
 

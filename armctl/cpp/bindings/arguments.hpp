@@ -1,10 +1,125 @@
-// Simulations of MuJoCo as arguments.
+// Keyword arguments of Python as the structs from which the core makes its objects; simulations of MuJoCo as arguments.
 #pragma once
+#include <algorithm>
+#include <functional>
+#include <numeric>
+#include <string>
+#include <string_view>
+
 #include "../arguments.hpp"
-#include "../mujoco_api.hpp"
+#include "../motors.hpp"
 #include "arrays.hpp"
 
 namespace armctl {
+
+// What a reader asks `Arguments` for, as the text of a Python signature. It has the same functions, which note a name with its type
+// and return zeros.
+//
+// A reader is a function of either, such as
+//
+//     const auto read = [](auto& given) { return PDGains{.stiffness = given.numbers("stiffness"), .damping = given.numbers("damping")}; };
+//
+// so that the arguments of Python are written once, and a type checker knows them.
+class Signature {
+public:
+    // Notes that the argument may be missing or None.
+    bool has(const char* name) { return parameter(name).is_optional = true; }
+
+    double number(const char* name) { return note(name, "float"), 0.0; }
+    std::int64_t integer(const char* name) { return note(name, "int"), 0; }
+    bool flag(const char* name) { return note(name, "bool"), false; }
+    size_t count(const char* name) { return note(name, "int"), 0; }
+    size_t length(const char* name) { return note(name, array_type), 0; }
+    Numbers numbers(const char* name) { return note(name, array_type), Numbers(); }
+    Integers integers(const char* name) { return note(name, array_type), Integers(); }
+
+    template <class Number>
+    std::span<Number> array(std::initializer_list<size_t> shape, const char* name) {
+        static std::remove_const_t<Number> zeros[16] = {};
+        note(name, array_type);
+        return {zeros, std::accumulate(shape.begin(), shape.end(), size_t{1}, std::multiplies())};
+    }
+    Vector shaped(std::initializer_list<size_t> shape, const char* name) { return array<const double>(shape, name); }
+    Result writable(std::initializer_list<size_t> shape, const char* name) { return array<double>(shape, name); }
+    Integers integers(size_t size, const char* name) { return array<const std::int64_t>({size}, name); }
+    Vector vector(size_t size, const char* name) { return shaped({size}, name); }
+    Matrix matrix(size_t rows, size_t columns, const char* name) { return {shaped({rows, columns}, name).data(), rows, columns}; }
+    MatrixResult writable_matrix(size_t rows, size_t columns, const char* name) {
+        return {writable({rows, columns}, name).data(), rows, columns};
+    }
+
+    // The parameters with their types, after a comma each.
+    std::string text() const {
+        std::string all;
+        for (const Parameter& each : parameters_) {
+            all += ", " + std::string(each.name) + ": " + each.type + (each.is_optional ? " | None = None" : "");
+        }
+        return all;
+    }
+
+private:
+    static constexpr const char* array_type = "numpy.ndarray";
+
+    struct Parameter {
+        std::string_view name;
+        const char* type = "";
+        bool is_optional = false;
+    };
+
+    Parameter& parameter(const char* name) {
+        const auto found = std::ranges::find(parameters_, std::string_view(name), &Parameter::name);
+        return found != parameters_.end() ? *found : parameters_.emplace_back(Parameter{.name = name});
+    }
+
+    void note(const char* name, const char* type) { parameter(name).type = type; }
+
+    std::vector<Parameter> parameters_;
+};
+
+// The signature of a function in Python whose keyword arguments a reader reads; `begin` is what comes before them.
+template <class Reader>
+std::string signature(const char* begin, const Reader& read) {
+    Signature asked;
+    read(asked);
+    return std::string("def ") + begin + ", *" + asked.text() + ") -> None";
+}
+
+// Binds a constructor whose keyword arguments a reader reads. `make(self, positional..., read arguments)` makes the object at `self`;
+// `begin` is the signature before the keyword arguments.
+template <class... Positional, class Class, class Reader, class Make, class... Extra>
+void bind_constructor(Class& bound, const char* begin, const Reader& read, const Make& make, const Extra&... extra) {
+    const auto init = [read, make](typename Class::Type* self, const Positional&... positional, const nanobind::kwargs& given) {
+        Arguments arguments(given);
+        make(self, positional..., read(arguments));
+    };
+    bound.def("__init__", init, nanobind::sig(signature(begin, read).c_str()), extra...);
+}
+
+// An address of an array's element; a negative one is beyond each array.
+inline size_t address(std::int64_t number) { return static_cast<size_t>(number); }
+
+// The motors of an arm, (n,) each: `qpos_addresses`, `dof_addresses`, `ctrl_addresses` and `gear`; and
+// `motor_addresses` if their torques are read.
+template <class Given>
+Motors motors_of(Given& given, bool are_read) {
+    const size_t n = given.length("gear");
+    const Integers qpos = given.integers(n, "qpos_addresses");
+    const Integers dof = given.integers(n, "dof_addresses");
+    const Integers ctrl = given.integers(n, "ctrl_addresses");
+    const Integers force = are_read ? given.integers(n, "motor_addresses") : Integers();
+    const Vector gear = given.vector(n, "gear");
+    Motors motors;
+    for (size_t i = 0; i < n; ++i) {
+        motors.push_back({
+            .qpos = address(qpos[i]),
+            .dof = address(dof[i]),
+            .ctrl = address(ctrl[i]),
+            .force = are_read ? address(force[i]) : 0,
+            .gear = gear[i],
+        });
+    }
+    return motors;
+}
 
 // The address of a mujoco.MjModel. What keeps it has to keep `model` alive, by nb::keep_alive.
 const MujocoModel* mujoco_model(nanobind::handle model);

@@ -11,6 +11,90 @@ using namespace nb::literals;
 
 namespace armctl {
 
+namespace {
+
+struct EnvironmentArguments {
+    EnvironmentOptions options;
+    EnvironmentArrays arrays;
+};
+
+// `limits` (5, n) are those of ActionLimits, `home_tip` (12,) is translation and rotation matrix.
+template <class Given>
+ActionOptions action_options(Given& given, size_t n) {
+    const Matrix limits = given.matrix(5, n, "limits");
+    const Vector home_tip = given.vector(12, "home_tip");
+    ActionOptions options{
+        .mode = static_cast<ActionMode>(given.integer("mode")),
+        .limits = {},
+        .size = given.count("size"),
+        .ticks = given.count("ticks"),
+        .dt = given.number("dt"),
+        .joint_scale = given.number("joint_scale"),
+        .position_scale = given.number("position_scale"),
+        .rotation_scale = given.number("rotation_scale"),
+        .smoothing = given.count("smoothing"),
+        .approach_rate = given.number("approach_rate"),
+        .tip_damping = given.number("tip_damping"),
+        .T_world_home = {Rotation::from_rows(home_tip.subspan(3)), vec3(home_tip)},
+    };
+    for (size_t i = 0; i < n; ++i) { options.limits.push_back({limits(0, i), limits(1, i), limits(2, i), limits(3, i), limits(4, i)}); }
+    return options;
+}
+
+// `gripper_ctrl` and `gripper_length` are addresses in ctrl and actuator_length of the actuators that actions move; `gripper_ends` (4,
+// actuators) controls when closed and open, and lengths.
+template <class Given>
+std::vector<GripperActuator> gripper_of(Given& given) {
+    const Integers ctrl = given.integers("gripper_ctrl");
+    const Integers length = given.integers(ctrl.size(), "gripper_length");
+    const Matrix ends = given.matrix(4, ctrl.size(), "gripper_ends");
+    std::vector<GripperActuator> gripper;
+    for (size_t k = 0; k < ctrl.size(); ++k) {
+        gripper.push_back({address(ctrl[k]), address(length[k]), ends(0, k), ends(1, k), ends(2, k), ends(3, k)});
+    }
+    return gripper;
+}
+
+template <class Given>
+EnvironmentArrays environment_arrays(Given& given, const EnvironmentOptions& options) {
+    const size_t n = options.motors.size();
+    const size_t count = given.length("q");
+    EnvironmentArrays arrays{
+        .action = given.matrix(count, options.action.size + (options.gripper.empty() ? 0 : 1), "action"),
+        .q = given.writable_matrix(count, n, "q"),
+        .v = given.writable_matrix(count, n, "v"),
+        .target = given.writable_matrix(count, n, "target"),
+        .q_ref = given.writable_matrix(count, n, "q_ref"),
+        .v_ref = given.writable_matrix(count, n, "v_ref"),
+        .tip = given.writable_matrix(count, 12, "tip"),
+        .opening = given.writable({count}, "opening"),
+        .object = given.writable_matrix(count, 13, "object"),
+        .touched = given.template array<std::int64_t>({count}, "touched"),
+    };
+    if (given.has("noise")) { arrays.noise = given.shaped({count, options.action.ticks, 2, n}, "noise"); }
+    return arrays;
+}
+
+template <class Given>
+EnvironmentArguments environment_arguments(Given& given) {
+    EnvironmentArguments all;
+    EnvironmentOptions& options = all.options;
+    options.motors = motors_of(given, false);
+    options.action = action_options(given, options.motors.size());
+    options.gripper = gripper_of(given);
+    options.grip_step = given.number("grip_step");
+    if (given.has("object_addresses")) {
+        const Integers addresses = given.integers(2, "object_addresses");
+        options.object_addresses = {address(addresses[0]), address(addresses[1])};
+    }
+    if (given.has("obstacle")) { options.obstacle = static_cast<std::int32_t>(given.integer("obstacle")); }
+    options.max_delay = given.count("max_delay");
+    all.arrays = environment_arrays(given, options);
+    return all;
+}
+
+}  // namespace
+
 void bind_environments(nb::module_& module) {
     nb::enum_<ActionMode>(module, "ActionMode", "What the numbers of an action mean.")
         .value("torque", ActionMode::torque)
@@ -18,13 +102,17 @@ void bind_environments(nb::module_& module) {
         .value("joint_target", ActionMode::joint_target)
         .value("cartesian_delta", ActionMode::cartesian_delta)
         .value("cartesian_pose", ActionMode::cartesian_pose);
+    const auto read = [](auto& given) { return environment_arguments(given); };
+    const auto make = [](EnvironmentRows* self, const std::shared_ptr<const MujocoApi>& api, const Model& arm, const Law& law,
+                         EnvironmentArguments given) { new (self) EnvironmentRows(api, arm, law, std::move(given.options), given.arrays); };
+    nb::class_<EnvironmentRows> bound(module, "EnvironmentRows",
+                                      "Several copies of an arm, each with its own simulation, controller and target.");
     // The rows keep the arrays that they were given, and the simulations.
-    nb::class_<EnvironmentRows>(module, "EnvironmentRows", "Several copies of an arm, each with its own simulation, controller and target.")
-        .def(nb::new_([](std::shared_ptr<const MujocoApi> api, const Model& arm, const Law& law, const nb::kwargs& given) {
-                 return new EnvironmentRows(std::move(api), arm, law, Arguments(given));
-             }),
-             "api"_a, "arm"_a, "law"_a, "given"_a, nb::keep_alive<0, 5>(),
-             "Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains the arguments.")
+    bind_constructor<std::shared_ptr<const MujocoApi>, Model, Law>(
+        bound, "__init__(self, api: MujocoApi, arm: ArmModel, law: Law", read, make, "api"_a, "arm"_a, "law"_a, "given"_a,
+        nb::keep_alive<1, 5>(),
+        "Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains the arguments.");
+    bound
         .def(
             "set_simulation",
             [](EnvironmentRows& self, size_t row, nb::handle model, nb::handle data) {

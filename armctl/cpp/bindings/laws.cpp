@@ -84,15 +84,81 @@ nb::class_<ConcreteLaw, Base> bind(nb::module_& module, const char* name, const 
     return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), nb::arg(of_name), "gains"_a);
 }
 
-void bind_without_model(nb::module_& module) {
-    nb::class_<PD, Law>(module, "PD", "tau = stiffness (q_ref - q) + damping (v_ref - v)").def(nb::new_([](const nb::kwargs& gains) {
-        return new PD(Arguments(gains));
-    }));
-    bind<TorqueRateLimit, Law, std::shared_ptr<Law>>(module, "TorqueRateLimit", "A law whose torques change at limited rates.");
-    bind<TorqueFilter, Law, std::shared_ptr<Law>>(module, "TorqueFilter",
-                                                  "A law whose torques go through filters of second-order sections.");
-    bind<CFunctionLaw, Law, std::uintptr_t>(module, "CFunctionLaw",
-                                            "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.", "address");
+template <class ConcreteLaw>
+nb::class_<ConcreteLaw, Law> law_class(nb::module_& module, const char* name, const char* doc) {
+    return nb::class_<ConcreteLaw, Law>(module, name, doc);
+}
+
+// The class of a law of an arm, from the gains that `read` reads.
+template <class ConcreteLaw, class Reader>
+nb::class_<ConcreteLaw, Law> bind_law_of_arm(nb::module_& module, const char* name, const char* doc, const Reader& read) {
+    auto bound = law_class<ConcreteLaw>(module, name, doc);
+    const auto make = [](ConcreteLaw* self, const Model& of, auto gains) { new (self) ConcreteLaw(of, std::move(gains)); };
+    bind_constructor<Model>(bound, "__init__(self, of: ArmModel", read, make, "of"_a, "gains"_a);
+    return bound;
+}
+
+template <class Given>
+PDGains pd_gains(Given& given) {
+    return {.stiffness = given.numbers("stiffness"), .damping = given.numbers("damping")};
+}
+
+void bind_pd(nb::module_& module) {
+    const auto read = [](auto& given) { return pd_gains(given); };
+    auto pd = law_class<PD>(module, "PD", "tau = stiffness (q_ref - q) + damping (v_ref - v)");
+    bind_constructor<>(pd, "__init__(self", read, [](PD* self, PDGains gains) { new (self) PD(std::move(gains)); });
+    bind_law_of_arm<PDFeedforward>(module, "PDFeedforward", "PD with the torque of the reference motion.", read);
+    bind_law_of_arm<PDGravity>(module, "PDGravity", "PD with gravity compensation.", read);
+}
+
+struct RateLimit {
+    Numbers tau_rate_max;
+    double dt;
+};
+
+void bind_around_laws(nb::module_& module) {
+    using Inner = std::shared_ptr<Law>;
+    const auto read_limit = [](auto& given) { return RateLimit{given.numbers("tau_rate_max"), given.number("dt")}; };
+    const auto make_limit = [](TorqueRateLimit* self, const Inner& of, RateLimit limit) {
+        new (self) TorqueRateLimit(of, std::move(limit.tau_rate_max), limit.dt);
+    };
+    auto limit = law_class<TorqueRateLimit>(module, "TorqueRateLimit", "A law whose torques change at limited rates.");
+    bind_constructor<Inner>(limit, "__init__(self, of: Law", read_limit, make_limit, "of"_a, "gains"_a);
+
+    const auto read_sections = [](auto& given) {
+        const Matrix rows = given.matrix(given.length("sections"), 6, "sections");
+        std::vector<Biquad> sections;
+        for (size_t k = 0; k < rows.rows; ++k) {
+            sections.push_back({.b0 = rows(k, 0), .b1 = rows(k, 1), .b2 = rows(k, 2), .a1 = rows(k, 4), .a2 = rows(k, 5)});
+        }
+        return sections;
+    };
+    const auto make_filter = [](TorqueFilter* self, const Inner& of, std::vector<Biquad> sections) {
+        new (self) TorqueFilter(of, std::move(sections));
+    };
+    auto filter =
+        law_class<TorqueFilter>(module, "TorqueFilter",
+                                "A law whose torques go through filters of second-order sections: rows of b0, b1, b2, a0 = 1, a1, "
+                                "a2, as in SciPy.");
+    bind_constructor<Inner>(filter, "__init__(self, of: Law", read_sections, make_filter, "of"_a, "gains"_a);
+}
+
+void bind_c_function(nb::module_& module) {
+    const auto read = [](auto& given) {
+        return CFunctionOptions{
+            .n = given.count("n"),
+            .parameters = given.numbers("parameters"),
+            .memory_size = given.count("memory_size"),
+            .needs_wrench = given.flag("needs_wrench"),
+        };
+    };
+    const auto make = [](CFunctionLaw* self, std::uintptr_t address, CFunctionOptions options) {
+        const auto function = reinterpret_cast<LawFunction>(address);  // NOLINT(performance-no-int-to-ptr): Python has it as a number
+        new (self) CFunctionLaw(function, std::move(options));
+    };
+    auto bound = law_class<CFunctionLaw>(module, "CFunctionLaw",
+                                         "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.");
+    bind_constructor<std::uintptr_t>(bound, "__init__(self, address: int", read, make, "address"_a, "gains"_a);
 }
 
 void bind_computed_torque(nb::module_& module) {
@@ -151,9 +217,9 @@ void bind_task_space(nb::module_& module) {
 
 void bind_laws(nb::module_& module) {
     bind_law(module);
-    bind_without_model(module);
-    bind<PDFeedforward>(module, "PDFeedforward", "PD with the torque of the reference motion.");
-    bind<PDGravity>(module, "PDGravity", "PD with gravity compensation.");
+    bind_pd(module);
+    bind_around_laws(module);
+    bind_c_function(module);
     bind_computed_torque(module);
     bind_qp(module);
     bind_task_space(module);

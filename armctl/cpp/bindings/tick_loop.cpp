@@ -17,12 +17,38 @@ namespace {
 
 using Api = std::shared_ptr<const MujocoApi>;
 
+// A function from its address.
+template <class Function>
+void set(Function& function, std::int64_t address) {
+    function = reinterpret_cast<Function>(address);  // NOLINT(performance-no-int-to-ptr): Python has it as a number
+}
+
 void bind_api(nb::module_& module) {
-    nb::class_<MujocoApi>(module, "MujocoApi", "MuJoCo's functions by their addresses, and where mjData keeps contacts.")
-        .def(nb::new_([](nb::handle empty_model, const nb::kwargs& given) {
-                 return new MujocoApi(mujoco_model(empty_model), Arguments(given));
-             }),
-             "empty_model"_a, "given"_a, nb::keep_alive<0, 2>());
+    const auto read = [](auto& given) {
+        MujocoApi api;
+        set(api.step, given.integer("step"));
+        set(api.rne_post_constraint, given.integer("rne_post_constraint"));
+        set(api.make_batch, given.integer("make_batch"));
+        set(api.delete_batch, given.integer("delete_batch"));
+        set(api.apply, given.integer("apply"));
+        set(api.error, given.integer("error"));
+        api.contacts = {
+            .count = given.count("contact_count"),
+            .array = given.count("contact_array"),
+            .stride = given.count("contact_stride"),
+            .geoms = given.count("contact_geoms"),
+            .exclude = given.count("contact_exclude"),
+        };
+        api.repairs = {.first = given.count("repair_first"), .stride = given.count("repair_stride")};
+        return api;
+    };
+    const auto make = [](MujocoApi* self, nb::handle empty_model, MujocoApi api) {
+        api.empty_model = mujoco_model(empty_model);
+        new (self) MujocoApi(api);
+    };
+    nb::class_<MujocoApi> bound(module, "MujocoApi", "MuJoCo's functions by their addresses, and where mjData keeps contacts.");
+    bind_constructor<nb::handle>(bound, "__init__(self, empty_model: object", read, make, "empty_model"_a, "given"_a,
+                                 nb::keep_alive<1, 2>());
 }
 
 void bind_delay(nb::module_& module) {
@@ -38,14 +64,34 @@ void bind_delay(nb::module_& module) {
             "tau"_a, "delayed"_a, "Takes the command of this tick, (n,) N m, and gives that of some ticks ago.");
 }
 
+template <class Given>
+WrenchSensorOptions sensor_options(Given& given) {
+    const Integers bodies = given.integers("bodies");
+    return {
+        .bodies = std::vector<size_t>(bodies.begin(), bodies.end()),
+        .root = given.count("root"),
+        .tip = given.count("tip"),
+        .offset = vec3(given.vector(3, "offset")),
+        .is_connected = given.flag("is_connected"),
+        .is_sampled = given.flag("is_sampled"),
+        .dt = given.number("dt"),
+        .delay = given.count("delay"),
+        .estimated = given.count("estimated"),
+    };
+}
+
 void bind_wrench_sensor(nb::module_& module) {
-    nb::class_<WrenchSensor>(module, "WrenchSensor", "The wrench of the environment on a tip, true or measured.")
-        .def(nb::new_([](Api api, nb::handle model, nb::handle data, const Model& arm, const nb::kwargs& given) {
-                 return new WrenchSensor(std::move(api), mujoco_simulation(model, data), arm, Arguments(given));
-             }),
-             "api"_a, "model"_a, "data"_a, "arm"_a, "given"_a, nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
-             "A sensor in a mujoco.MjModel and MjData; armctl/cpp/wrench_sensor.hpp explains the arguments.")
-        .def("reset", &WrenchSensor::reset, "Forgets all measurements.")
+    const auto read = [](auto& given) { return sensor_options(given); };
+    const auto make = [](WrenchSensor* self, const Api& api, nb::handle model, nb::handle data, const Model& arm,
+                         WrenchSensorOptions options) {
+        new (self) WrenchSensor(api, mujoco_simulation(model, data), arm, std::move(options));
+    };
+    nb::class_<WrenchSensor> bound(module, "WrenchSensor", "The wrench of the environment on a tip, true or measured.");
+    bind_constructor<Api, nb::handle, nb::handle, Model>(
+        bound, "__init__(self, api: MujocoApi, model: object, data: object, arm: ArmModel", read, make, "api"_a, "model"_a, "data"_a,
+        "arm"_a, "given"_a, nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
+        "A sensor in a mujoco.MjModel and MjData; armctl/cpp/wrench_sensor.hpp explains the arguments.");
+    bound.def("reset", &WrenchSensor::reset, "Forgets all measurements.")
         .def(
             "read",
             [](const WrenchSensor& self, const In& push, const Out& wrench) {
@@ -74,10 +120,37 @@ void bind_wrench_sensor(nb::module_& module) {
             "The state and the torque of the motors in the last tick are measured, (n,) each.");
 }
 
+template <class Given>
+Ticks ticks_of(Given& given, size_t n, size_t nq) {
+    const size_t rows = given.length("v_rows");
+    Ticks ticks{
+        .first = given.count("first"),
+        .last = given.count("last"),
+        .q = given.matrix(rows, n, "q"),
+        .v = given.matrix(rows, n, "v"),
+        .a = given.matrix(rows, n, "a"),
+        .v_tick = given.matrix(rows, n, "v_tick"),
+        .a_tick = given.matrix(rows, n, "a_tick"),
+        .qpos_rows = given.writable_matrix(rows, nq, "qpos_rows"),
+        .v_rows = given.writable_matrix(rows, n, "v_rows"),
+        .command_rows = given.writable_matrix(rows, n, "command_rows"),
+        .torque_rows = given.writable_matrix(rows, n, "torque_rows"),
+    };
+    const size_t count = ticks.count();
+    if (given.has("wrench_rows")) { ticks.wrench_rows = given.writable_matrix(rows, 6, "wrench_rows"); }
+    if (given.has("noise")) { ticks.noise = given.shaped({count, 2, n}, "noise"); }
+    if (given.has("pushes")) { ticks.pushes = given.matrix(count, 6, "pushes"); }
+    if (given.has("push")) { ticks.push = given.writable({6}, "push"); }
+    if (given.has("last_position")) { ticks.last_position = given.writable({n}, "last_position"); }
+    if (given.has("times")) { ticks.times = given.vector(count, "times"); }
+    if (given.has("wrench_noise")) { ticks.wrench_noise = given.matrix(count, 6, "wrench_noise"); }
+    return ticks;
+}
+
 void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSensor* sensor, const nb::bytes& touching,
                const nb::kwargs& given) {
     const Arguments arguments(given);
-    const Ticks ticks(arguments, loop.joints(), loop.simulation().qpos.size());
+    const Ticks ticks = ticks_of(arguments, loop.joints(), loop.simulation().qpos.size());
     loop.check(ticks, law, delay, sensor);
     std::string geoms(touching.c_str(), touching.size());
     // The ticks use a law of their own, so that another simulation may use this one at the same time.
@@ -118,16 +191,30 @@ void bind_tick_end(nb::module_& module) {
 }
 
 void bind_loop(nb::module_& module) {
-    nb::class_<TickLoop>(module, "TickLoop", "The tick loop of one simulation: measure, control, step, record. One thread at a time.")
-        .def(nb::new_([](Api api, nb::handle model, nb::handle data, const Model& pushed_arm, const nb::kwargs& given) {
-                 return new TickLoop(std::move(api), mujoco_simulation(model, data), pushed_arm, Arguments(given));
-             }),
-             "api"_a, "model"_a, "data"_a, "pushed_arm"_a, "given"_a, nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
-             "The loop of a mujoco.MjModel and MjData; armctl/cpp/tick_loop.hpp explains the arguments.")
-        .def("run", &run_ticks, "law"_a, "end"_a, "delay"_a.none(), "sensor"_a.none(), "touching"_a, "ticks"_a,
-             "Runs the ticks [first, last) of a reference and records them; `Ticks` in armctl/cpp/tick_loop.hpp explains the arrays.\n\n"
-             "How they ended is written into `end`: an interrupt, which raises when the call returns, would lose a result.\n"
-             "`touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.");
+    const auto read = [](auto& given) {
+        return TickLoopOptions{
+            .motors = motors_of(given, true),
+            .substeps = given.count("substeps"),
+            .dt = given.number("dt"),
+            .diverged_speed = given.number("diverged_speed"),
+        };
+    };
+    const auto make = [](TickLoop* self, const Api& api, nb::handle model, nb::handle data, const Model& pushed_arm,
+                         TickLoopOptions options) {
+        new (self) TickLoop(api, mujoco_simulation(model, data), pushed_arm, std::move(options));
+    };
+    nb::class_<TickLoop> bound(module, "TickLoop",
+                               "The tick loop of one simulation: measure, control, step, record. One thread at a time.");
+    bind_constructor<Api, nb::handle, nb::handle, Model>(
+        bound, "__init__(self, api: MujocoApi, model: object, data: object, pushed_arm: ArmModel", read, make, "api"_a, "model"_a, "data"_a,
+        "pushed_arm"_a, "given"_a, nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
+        "The loop of a mujoco.MjModel and MjData; armctl/cpp/tick_loop.hpp explains the arguments.");
+    const std::string run = signature("run(self, law: Law, end: TickEnd, delay: Delay | None, sensor: WrenchSensor | None, touching: bytes",
+                                      [](auto& given) { return ticks_of(given, 0, 0); });
+    bound.def("run", &run_ticks, "law"_a, "end"_a, "delay"_a.none(), "sensor"_a.none(), "touching"_a, "ticks"_a, nb::sig(run.c_str()),
+              "Runs the ticks [first, last) of a reference and records them; `Ticks` in armctl/cpp/tick_loop.hpp explains the arrays.\n\n"
+              "How they ended is written into `end`: an interrupt, which raises when the call returns, would lose a result.\n"
+              "`touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.");
 }
 
 }  // namespace

@@ -11,12 +11,19 @@ namespace armctl {
 using LawFunction = void (*)(const double* parameters, const double* q, const double* v, const double* reference, const double* wrench,
                              double* memory, double* tau, std::int64_t n);
 
+struct CFunctionOptions {
+    size_t n = 0;  // joints
+    Numbers parameters;
+    size_t memory_size = 0;
+    bool needs_wrench = false;
+};
+
 class CFunctionLaw final : public Cloneable<CFunctionLaw> {
 public:
-    // From the address of a function, which has to exist as long as the law.
-    CFunctionLaw(std::uintptr_t address, const Arguments& gains)
-        : Cloneable(gains.count("n"), gains.count("memory_size"), gains.flag("needs_wrench")),
-          function_(reinterpret_cast<LawFunction>(address)), parameters_(gains.numbers(gains.length("parameters"), "parameters")) {}
+    // The function has to exist as long as the law.
+    CFunctionLaw(LawFunction function, CFunctionOptions options)
+        : Cloneable(options.n, options.memory_size, options.needs_wrench), function_(function), parameters_(std::move(options.parameters)) {
+    }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const std::array<Vector, 5> rows{setpoint.q, setpoint.v, setpoint.a, setpoint.v_tick, setpoint.a_tick};

@@ -66,15 +66,8 @@ struct Biquad {
 // Filters as biquads in series, the same for all joints. They begin a run settled at its first torque.
 class TorqueFilter final : public Cloneable<TorqueFilter, LawAround> {
 public:
-    // `sections` has rows of b0, b1, b2, a0 = 1, a1, a2, as in SciPy.
-    TorqueFilter(const std::shared_ptr<Law>& filtered, const Arguments& gains)
-        : Cloneable(filtered, 2 * gains.length("sections") * filtered->joints()) {
-        const size_t count = gains.length("sections");
-        for (size_t k = 0; k < count; ++k) {
-            const Vector row = gains.matrix(count, 6, "sections").row(k);
-            sections_.push_back({.b0 = row[0], .b1 = row[1], .b2 = row[2], .a1 = row[4], .a2 = row[5]});
-        }
-    }
+    TorqueFilter(const std::shared_ptr<Law>& filtered, std::vector<Biquad> sections)
+        : Cloneable(filtered, 2 * sections.size() * filtered->joints()), sections_(std::move(sections)) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const bool is_first = inner_torque(state, setpoint, tau);
@@ -96,9 +89,10 @@ private:
 // A limit of the rate of the torques, such as that of a robot's interface. The first torque of a run is not limited.
 class TorqueRateLimit final : public Cloneable<TorqueRateLimit, LawAround> {
 public:
-    TorqueRateLimit(const std::shared_ptr<Law>& limited, const Arguments& gains)
-        : Cloneable(limited, limited->joints()), max_change_(gains.numbers(joints(), "tau_rate_max")) {
-        const double dt = gains.number("dt");
+    // Of a rate (n,) N m/s, and a control period, s.
+    TorqueRateLimit(const std::shared_ptr<Law>& limited, Numbers tau_rate_max, double dt)
+        : Cloneable(limited, limited->joints()), max_change_(std::move(tau_rate_max)) {
+        require_size(max_change_, joints(), "tau_rate_max");
         for (double& change : max_change_) { change *= dt; }
     }
 
