@@ -104,6 +104,7 @@ def test_parameters_are_those_of_the_real_servos(known):
     assert 0 < found.errors.delay < 1e-3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("stiffness", "damping"),
     [([500, 660], [7.0, 5.0]), ([0.9, 1.1], [0.1, 0.1]), ([500, 1.1], [7.0, 0.1]), ([17, 22], [7.0, 0.05])],
@@ -121,6 +122,7 @@ def test_servos_are_found_from_files_with_others(tmp_path, stiffness, damping):
     assert found.parameters.delay == pytest.approx(DELAY, rel=0.02)
 
 
+@pytest.mark.full
 def test_stiff_servos_are_within_their_errors_and_have_no_backlash(known, file):
     """Steps of 2 ms damp servos of 70 rad/s by a tenth less: the errors say so, whatever the noise is."""
     arm, _ = known
@@ -135,6 +137,7 @@ def test_stiff_servos_are_within_their_errors_and_have_no_backlash(known, file):
     assert found.errors.delay < 0.001
 
 
+@pytest.mark.full
 def test_an_error_above_the_noise_of_the_positions_is_not_ok(known, file):
     """Gears that are not round add 4 mrad to both motions in the same way: neither the file nor the recording shows it."""
     arm, exact = known
@@ -147,6 +150,7 @@ def test_an_error_above_the_noise_of_the_positions_is_not_ok(known, file):
     assert found.judge_rms.max() > 2.5 * found.noise.max()
 
 
+@pytest.mark.full
 def test_backlash_is_found_where_there_is_one(known, file):
     arm, without = known
     assert not without.parameters.backlash.any()
@@ -178,6 +182,7 @@ def test_a_backlash_stays_only_if_the_judge_rejects_the_fit_without_it(file, see
     assert told or "as well without a backlash as with one of 20 mrad" in reason
 
 
+@pytest.mark.full
 def test_rotor_inertia_that_is_small_beside_that_of_links_is_within_its_error(known, file):
     """A rotor with 5 % of its joint's inertia: steps of 2 ms move the arm by more than the whole rotor does."""
     arm, _ = known
@@ -237,6 +242,7 @@ def test_files_have_the_identified_servos(known, file, tmp_path):
     assert found.applied_to(arm).mass_matrix(arm.home)[1, 1] > arm.mass_matrix(arm.home)[1, 1]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("before", "after"),
     [
@@ -268,6 +274,7 @@ def test_a_joint_with_two_actuators_gets_one_servo_with_the_gains_of_both(before
     assert model.actuator_forcerange[order, 1] == pytest.approx(arm.limits.tau_max)
 
 
+@pytest.mark.full
 def test_without_gravity_the_scale_is_not_shown(tmp_path):
     """Both joints turn about the vertical, with links on their axes: positions show ratios only."""
     path = tmp_path / "vertical.xml"

@@ -42,6 +42,7 @@ def test_a_bound_on_torque_noise_is_active(arm):
     assert bounded.after.compliance > free.after.compliance
 
 
+@pytest.mark.full
 def test_default_gains_that_violate_a_bound_are_raised_if_higher_ones_satisfy_it():
     arm = arm_of("panda")
     assert armctl.margins(arm, "impedance", 4, [PLANT]).peak_sensitivity.value > 3.0
@@ -91,7 +92,12 @@ def margins_of_elevator(kp, kd, mass, damping, dt, lag):
 
 @pytest.mark.parametrize(
     ("mass", "damping", "dt", "lag", "delay_margin"),
-    [(6.0, 8.0, 0.005, 10, 0.01), (6.0, 8.0, 0.005, 0, 0.06), (60.0, 0.0, 0.002, 0, 0.12), (3.0, 400.0, 0.004, 5, 0.02)],
+    [
+        (6.0, 8.0, 0.005, 10, 0.01),
+        pytest.param(6.0, 8.0, 0.005, 0, 0.06, marks=pytest.mark.full),
+        pytest.param(60.0, 0.0, 0.002, 0, 0.12, marks=pytest.mark.full),
+        (3.0, 400.0, 0.004, 5, 0.02),
+    ],
 )
 def test_the_stiffness_of_an_elevator_is_the_highest_that_a_grid_of_gains_finds(mass, damping, dt, lag, delay_margin):
     arm = elevator(mass, damping, dt)
@@ -111,12 +117,12 @@ def test_the_stiffness_of_an_elevator_is_the_highest_that_a_grid_of_gains_finds(
     assert best <= 1.1 * kp
 
 
-@pytest.mark.parametrize("damping", [0.5, 20.0])
+@pytest.mark.parametrize("damping", [0.5, pytest.param(20.0, marks=pytest.mark.full)])
 def test_looser_bounds_never_give_worse_gains(tmp_path, damping):
     arm = serial_arm(tmp_path, replace(BENT["planar"], joint=f'damping="{damping}"'))
     frequencies = 2 * np.pi * np.array([0.01, 0.1, 1.0])
     displacements = []
-    for delay_margin in (0.003, 0.006, 0.012, 0.024, 0.04):
+    for delay_margin in (0.003, 0.012, 0.04):
         found = armctl.tune(arm, "pd-gravity", delay_margin=delay_margin, poses=2, plants=[PLANT])
         assert found, found.reason
         assert found.after.delay_margin >= delay_margin

@@ -13,7 +13,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from arms import ARMS, ARMS_WITH_SHAPES, arm_of
+from arms import ARMS, ARMS_WITH_SHAPES, arm_of, some_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
@@ -28,7 +28,7 @@ from armctl.ik import lm
 from armctl.ik.batch import solve_ik_batch
 from armctl.ik.problem import ik_chain, read_problem
 
-every_arm = pytest.mark.parametrize("name", ARMS)
+every_arm = pytest.mark.parametrize("name", some_of(ARMS))
 
 
 def positions(arm: Arm, count: int, seed: int = 0) -> np.ndarray:
@@ -177,7 +177,7 @@ def test_the_base_itself_is_a_target_like_any_other(name: str):
     assert result.ok == (result.position_error <= 1e-5)
 
 
-@pytest.mark.parametrize("name", [arm for arm in ARMS if arm in ("panda", "ur5e", "so_arm100", "endless")])
+@pytest.mark.parametrize("name", some_of(arm for arm in ARMS if arm in ("panda", "ur5e", "so_arm100", "endless")))
 def test_a_free_axis_leaves_the_turn_about_it_open(name: str):
     arm = arm_of(name)
     for k, q in enumerate(positions(arm, 8)):
@@ -258,7 +258,7 @@ def test_a_joint_turns_no_further_than_it_must(name: str):
     assert (np.abs(result.q - q0)[endless] <= np.pi + 1e-9).all()
 
 
-@pytest.mark.parametrize("name", [arm for arm in ARMS if arm in ("panda", "ur5e", "robot_arm_3dof")])
+@pytest.mark.parametrize("name", some_of(arm for arm in ARMS if arm in ("panda", "ur5e", "robot_arm_3dof")))
 def test_nearest_is_at_least_as_near(name: str):
     arm = arm_of(name)
     for q, q0 in zip(positions(arm, 3), positions(arm, 3, seed=1), strict=True):
@@ -279,7 +279,7 @@ def test_an_arm_that_nobody_needs_any_more_is_forgotten():
     assert alive() is None
 
 
-@pytest.mark.parametrize("name", ARMS_WITH_SHAPES)
+@pytest.mark.parametrize("name", some_of(ARMS_WITH_SHAPES))
 def test_avoiding_collisions_is_what_mujoco_says(name: str):
     arm = arm_of(name)
     contacts = collision_checker(arm)

@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from arms import MENAGERIE_ARMS
+from arms import MENAGERIE_ARMS, some_of
 from synthetic import limb, mjcf, motors
 
 import armctl
@@ -103,7 +103,7 @@ def test_a_compiled_model_gives_an_arm_that_moves_as_that_from_its_file(tmp_path
     assert bytes_of(model) == before
 
 
-@pytest.mark.parametrize("name", [BUNDLED, *MENAGERIE_ARMS])
+@pytest.mark.parametrize("name", some_of([BUNDLED, *MENAGERIE_ARMS]))
 def test_installed_arms_move_alike_from_their_file_and_from_their_compiled_model(name: str):
     path = locate(name).path
     assert path is not None

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from arms import ARMS, arm_of
+from arms import ARMS, arm_of, some_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import limb, motors
@@ -51,7 +51,7 @@ def line(arm, rng):
 
 PLANNERS = [straight, together, through, line]
 every_planner = pytest.mark.parametrize("plan", PLANNERS, ids=lambda plan: plan.__name__)
-every_arm = pytest.mark.parametrize("name", ARMS)
+every_arm = pytest.mark.parametrize("name", some_of(ARMS))
 panda_or_bundled = pytest.mark.parametrize("name", ["robot_arm_3dof", "panda"])
 
 

@@ -80,6 +80,7 @@ def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(arm):
     assert (logs[0].q != logs[2].q).any()
 
 
+@pytest.mark.full
 def test_it_pushes_a_box_to_a_pose(arm):
     goal = armctl.Pose(BOX + at(0.02, 0.07), rpy=[0.0, 0.0, 0.1])
     simulation = beside(arm, at(-0.02, -0.08))

@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError, replace
 import mujoco
 import numpy as np
 import pytest
-from arms import BUNDLED, arm_of
+from arms import BUNDLED, arm_of, some_of
 from synthetic import limb, mjcf, motors
 
 from armctl import InputError, Pose, UnknownNameError, load, solve_ik
@@ -35,7 +35,7 @@ def tip_error(session: RealTimeSession) -> float:
     return float(np.linalg.norm(session.arm.fk(session.status.q).position - session.status.target.position))
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5e", "xarm7"])
+@pytest.mark.parametrize("name", some_of(["panda", "ur5e", "xarm7"]))
 def test_the_first_target_can_be_moved_without_turning_the_tool(name: str):
     session = RealTimeSession(arm_of(name))
     first = session.status.target
@@ -43,7 +43,7 @@ def test_the_first_target_can_be_moved_without_turning_the_tool(name: str):
         assert solve_ik(session.arm, Pose(first.position + shift, quat=first.quat)).ok, shift
 
 
-@pytest.mark.parametrize("name", SOME)
+@pytest.mark.parametrize("name", some_of(SOME))
 def test_the_arm_goes_to_the_target_and_follows_it(name: str):
     session = RealTimeSession(arm_of(name))
     go(session, 4.0)
@@ -55,7 +55,7 @@ def test_the_arm_goes_to_the_target_and_follows_it(name: str):
     assert session.status.target is away
 
 
-@pytest.mark.parametrize("name", SOME)
+@pytest.mark.parametrize("name", some_of(SOME))
 def test_what_is_out_of_reach_is_said_and_the_arm_comes_to_rest(name: str):
     session = RealTimeSession(arm_of(name))
     far = session.status.target.position + np.array([50.0, 0.0, 0.0])
