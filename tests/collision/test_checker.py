@@ -108,6 +108,17 @@ def test_distances_of_near_pairs_are_mujocos_and_their_derivatives_those_of_diff
     assert overlapping > 15
 
 
+def test_the_depth_of_a_pair_is_its_own_among_others_that_overlap(arm):
+    checker = CollisionChecker(arm)
+    overlapping = 0
+    for q in configurations(arm, 40, seed=7):
+        depths = {pair: -distance for pair, (distance, _) in near_all(checker, q, 0.0).items() if distance < 0.0}
+        if len(depths) > 1:
+            assert {pair: checker.depth(q, pair) for pair in depths} == pytest.approx(depths)
+            overlapping += np.ptp(list(depths.values())) > 1e-3
+    assert overlapping > 5
+
+
 def test_the_depth_of_a_capsule_in_a_plate_is_at_most_a_tenth_above_the_least(tmp_path):
     """A plate and a segment part soonest along a normal of the plate or across an edge of it and the segment."""
     arm = arm_among(tmp_path, '<geom name="plate" type="box" size="0.3 0.2 0.05" pos="0.2 0.1 0.4"/>')

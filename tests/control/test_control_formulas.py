@@ -10,7 +10,7 @@ from synthetic import BENT, SHAPES, Shape, serial_arm
 
 import armctl
 from armctl.control.gains import extra_inertia, sample_configurations
-from armctl.control.observer_gains import max_held_payload
+from armctl.control.observer_gains import max_held_payload, min_effective_mass
 from armctl.control.task_space import arm_length
 from armctl.core.trajectory import Setpoint
 
@@ -122,6 +122,27 @@ def test_the_payload_that_the_motors_hold_is_the_largest_one(tmp_path, name):
 
     assert held > 0.1
     assert share(0.999 * held) < 1.0 < share(1.001 * held)
+
+
+@pytest.mark.parametrize("name", ["planar", "six joints"])
+def test_the_least_mass_beside_the_tip_is_that_of_mujocos_jacobians_of_points_around_it(tmp_path, name):
+    arm = serial_arm(tmp_path, BENT[name])
+    model, data = arm.model, mujoco.MjData(arm.model)
+    lever = 0.2
+    accelerations = np.zeros((2, 3))  # m/s^2 of 1 N: the largest at points on either side of the tip
+    for q in sample_configurations(arm):
+        data.qpos[:] = arm.qpos(q)
+        mujoco.mj_forward(model, data)
+        mobility = np.linalg.inv(arm.mass_matrix(q))
+        for side, sign in enumerate((1.0, -1.0)):
+            for axis in range(3):
+                point = data.site("tip").xpos + sign * lever * np.eye(3)[axis]
+                J = np.zeros((3, model.nv))
+                mujoco.mj_jac(model, data, J, None, point, arm.tip_body)
+                largest = np.linalg.eigvalsh(J @ mobility @ J.T)[-1]
+                accelerations[side, axis] = max(accelerations[side, axis], largest)
+    assert min_effective_mass(arm, lever) == pytest.approx(1.0 / accelerations.max())
+    assert accelerations[1].max() != pytest.approx(accelerations[0].max())
 
 
 @pytest.mark.parametrize("shape", [*SHAPES.values(), *BENT.values()], ids=[*SHAPES, *BENT])

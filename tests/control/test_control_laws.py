@@ -89,3 +89,13 @@ def test_pd_is_the_formula(bundled):
     state = armctl.State(np.array([0.1, 0.2, 0.3]), np.array([1.0, 0.0, -1.0]))
     tau = law.torque(state, Setpoint(np.zeros(3), np.zeros(3), np.zeros(3)))
     assert np.allclose(tau, [-1.0 - 1.0, -4.0, -9.0 + 3.0])
+
+
+def test_a_state_without_a_period_is_one_in_continuous_time(bundled):
+    law = armctl.ComputedTorque(bundled)
+    q = bundled.home + 0.1
+    v = np.full(bundled.n, 0.3)
+    setpoint = Setpoint(bundled.home, np.zeros(bundled.n), np.zeros(bundled.n))
+    tau = law.torque(armctl.State(q, v), setpoint)
+    assert np.array_equal(tau, law.torque(armctl.State(q, v, dt=0.0), setpoint))
+    assert not np.allclose(tau, law.torque(armctl.State(q, v, dt=0.01), setpoint))

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -60,7 +61,13 @@ def arms(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def motions(arms):
-    return {name: armctl.excitation(arm, for_="arm") for name, arm in arms.items()}
+    """An excitation of each arm, made when a test asks for it."""
+
+    class Motions(dict):
+        def __missing__(self, name):
+            return self.setdefault(name, armctl.excitation(arms[name], for_="arm"))
+
+    return Motions()
 
 
 @pytest.fixture(scope="module")
@@ -243,6 +250,17 @@ def test_the_names_of_a_plant_decide_nothing(arms, motions):
         assert [log.continuous for log in logs] == [continuous, continuous]
         estimates = [armctl.identify(arm, log) for log in logs]
         assert np.array_equal(estimates[0].coulomb_friction, estimates[1].coulomb_friction)
+
+
+def test_damping_that_the_model_has_too_much_of_is_a_finding(arms, motions):
+    arm = arms["planar"]
+    model = arm.with_payload(0.0, viscous_friction=[0.0, 3.0, 0.0])
+    found = armctl.identify(model, recorded(arm, motions["planar"]))
+    assert found.ok, found.reason
+    [finding] = [each for each in found.findings if "damping" in each]
+    amount = re.fullmatch(r"the model's damping of j1 is (\S+) N m s/rad too high", finding)
+    assert amount is not None, finding
+    assert float(amount[1]) == pytest.approx(3.0, rel=0.05)
 
 
 @pytest.mark.parametrize("friction", ["none", "stribeck"])

@@ -8,6 +8,7 @@ from synthetic import Shape, serial_arm
 import armctl
 
 REPETITIONS = 10
+MADE = ("slender", "short", "robot_arm_3dof")
 SLENDER = Shape(0.35, 3.0, 150.0, taper=0.85, joints=5, joint='armature="0.08" damping="0.6"', home="0.3 -0.4 0.8 0.5 -0.6")
 SHORT = Shape(0.15, 1.5, 80.0, joints=3, joint='armature="0.03"', home="-0.2 0.6 0.5")
 
@@ -21,9 +22,7 @@ def learnt(arm, motion, law, plant, **options):
 
 
 @pytest.mark.parametrize("law", ["pd", "pd-gravity", "pd-feedforward", "computed-torque", "computed-torque-observer", "lqr"])
-@pytest.mark.parametrize(
-    "name", some_of(["slender", "short", "robot_arm_3dof", "panda", "ur5e"], ["slender", "short", "robot_arm_3dof"])
-)
+@pytest.mark.parametrize("name", some_of([*MADE, "panda", "ur5e"], MADE))
 def test_ten_repetitions_lower_the_error_twenty_times_with_wrong_friction_and_payload(name, law, tmp_path):
     shape = {"slender": SLENDER, "short": SHORT}.get(name)
     arm = serial_arm(tmp_path, shape) if shape else arm_of(name)
