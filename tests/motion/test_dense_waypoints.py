@@ -83,7 +83,7 @@ def least_time(q: np.ndarray, v_max: np.ndarray, a_max: np.ndarray) -> float:
     for k in range(len(q) - 2, -1, -1):
         low = 0.0
         high = float(highest[k])
-        for _ in range(50):
+        for _ in range(30):
             b = 0.5 * (low + high)
             one = np.array([b])
             slowest = b + 2 * step * float(least(k, one)[0])
@@ -99,12 +99,12 @@ def least_time(q: np.ndarray, v_max: np.ndarray, a_max: np.ndarray) -> float:
 
 @lru_cache
 def least_time_of_curve(seed: int) -> float:
-    dense = curve(np.linspace(0.0, 1.0, 1001), np.random.default_rng(seed))
+    dense = curve(np.linspace(0.0, 1.0, 501), np.random.default_rng(seed))
     return least_time(dense, np.full(N, 3.14), np.full(N, 25.0))
 
 
-@settings(max_examples=15)
-@given(seed=st.integers(0, 10_000), count=st.integers(5, 300), size=st.floats(-2.0, 0.5), even=st.booleans())
+@settings(max_examples=8)
+@given(seed=st.integers(0, 10_000), count=st.integers(5, 100), size=st.floats(-2.0, 0.5), even=st.booleans())
 def test_waypoints_on_a_line_take_as_long_as_move_j(light, seed, count, size, even):
     rng = np.random.default_rng(seed)
     arm = random_bounds(light, rng)
@@ -127,7 +127,7 @@ def test_one_joint_through_many_waypoints_takes_as_long_as_move_j(load, count):
 
 
 @pytest.mark.parametrize("jerk", [500.0, 5e3, 1e5])
-@pytest.mark.parametrize("count", [10, 30, 100, 300])
+@pytest.mark.parametrize("count", [10, 30, 100, pytest.param(300, marks=pytest.mark.full)])
 def test_waypoints_on_a_smooth_curve_take_hardly_longer_than_the_curve_without_jerk_limits(light, count, jerk):
     arm = with_bounds(light, 3.14, 25.0, jerk)
     for seed in range(2):
@@ -239,7 +239,7 @@ def test_a_curve_that_touches_joint_limits_costs_no_more_than_others(light, coun
     assert_passes(motion, q)
 
 
-@pytest.mark.parametrize(("count", "share"), [(10, 0.7), (60, 0.3), (200, 0.15)])
+@pytest.mark.parametrize(("count", "share"), [(10, 0.7), (60, 0.3), pytest.param(200, 0.15, marks=pytest.mark.full)])
 def test_dense_waypoints_that_rest_at_joint_limits_stay_inside(light, count, share):
     arm = with_bounds(light, 3.14, 25.0, 500.0)
     half = np.full(N, 0.5)
