@@ -1,19 +1,20 @@
 # make demo   creates .venv, builds the compiled core, installs armctl with the viewer, and the bundled arm moves to the green target;
 #             needs Python 3.11 or later; without a C++ compiler, pip installs one (zig) into .venv
-# make test   everything: lint, types, docs, tests, examples
+# make test   lint, types, docs, and the tests that take minutes together; make test-all runs the others, too
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # Of the tests: one more than there are cores, for some tests wait for browsers and other processes.
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
-# Arguments of pytest.
+# Arguments of pytest. Tests marked `full` are left out unless `make test-all` runs them.
 TESTS ?=
+SOME := -m "not full"
 # One process runs a file: what its tests share is made once.
 BY_FILE := --dist loadfile --no-loadscope-reorder
-# What is installed: for users, or for tests as well.
+# What is installed first: for users, or for tests as well. What all tests need comes on top of that.
 EXTRA := $(if $(filter-out demo core outputs,$(or $(MAKECMDGOALS),demo)),dev,view)
 PARTS_view := the dependencies and the viewer into $(VENV): once, 1 GB
-PARTS_dev := the dependencies, the viewer and what the tests need into $(VENV): once, 2.7 GB
+PARTS_dev := the dependencies, the viewer and what the tests need into $(VENV): once, 2.0 GB
 BUILD_CORE := $(BIN)/python packaging/build_backend/armctl_build.py
 CXX_SOURCES := $(shell find armctl/cpp -name '*.[ch]pp')
 CORE_SOURCES := CMakeLists.txt $(CXX_SOURCES)
@@ -24,20 +25,22 @@ export PIP_NO_INPUT := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test core build-core install-dependencies stubs sanitize lint format types docs pytest lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
+.PHONY: help demo test test-all core build-core install-dependencies stubs sanitize lint tidy format types docs pytest pytest-all lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
 
 help:
 	@echo "make demo      the bundled arm moves to the green target and prints a report"
 	@echo "make test      lint, types, docs and pytest, as follows"
+	@echo "make test-all  the same with the tests that make test leaves out: further robots, browsers, examples of minutes, fuzz; clang-tidy"
 	@echo "make core      build the compiled core in place, armctl/_core from armctl/cpp; only what has changed is compiled"
 	@echo "make stubs     write armctl/_core.pyi, the types of the compiled core"
 	@echo "make sanitize  the tests of the compiled core under AddressSanitizer and UndefinedBehaviorSanitizer"
-	@echo "make lint      ruff (rules and format), the import layers, clang-format, clang-tidy, and the size of the code"
+	@echo "make lint      ruff (rules and format), the import layers, clang-format, and the size of the code"
+	@echo "make tidy      clang-tidy"
 	@echo "make format    apply the fixes and the format of ruff and clang-format"
 	@echo "make types     pyright"
 	@echo "make docs      build the pages in docs/_build"
-	@echo "make pytest    tests and examples"
-	@echo "make lowest    tests and examples with the lowest versions that pyproject.toml allows, in .lowest"
+	@echo "make pytest    tests; make pytest-all runs all of them"
+	@echo "make lowest    tests with the lowest versions that pyproject.toml allows, in .lowest"
 	@echo "make examples  only the examples"
 	@echo "make franka-sim  random motions on a simulator of Franka's controller that enforces its limits"
 	@echo "make fuzz      random calls, files and messages, and 10 000 motions of every kind for each arm: hours;"
@@ -80,9 +83,15 @@ install-dependencies:
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp
 	@grep -q dev $< || { \
-	  echo "installing what the tests need into $(VENV): once, 1.7 GB more, half a minute"; \
+	  echo "installing what the tests need into $(VENV): once, 1 GB more, half a minute"; \
 	  $(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[dev]'; } || { \
 	  echo "pip could not install the tools that pyproject.toml names under dev; its reason is above."; exit 1; }
+	@touch $@
+
+$(VENV)/ci.stamp: $(VENV)/dev.stamp
+	@echo "installing what only make test-all needs into $(VENV): once, up to 6 GB, for PyTorch comes with CUDA; one to three minutes"
+	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[ci]' || { \
+	  echo "pip could not install the packages that pyproject.toml names under ci; its reason is above."; exit 1; }
 	@touch $@
 
 # The compiled core: again when a source changes, with the tools that run.stamp has installed.
@@ -113,16 +122,22 @@ test:
 	@$(MAKE) --no-print-directory --jobs 2 lint types docs
 	@$(MAKE) --no-print-directory pytest
 
+test-all: $(VENV)/ci.stamp
+	@$(MAKE) --no-print-directory --jobs 2 lint tidy types docs
+	@$(MAKE) --no-print-directory pytest-all
+
 lint: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/ruff check . || { echo "ruff found the above; make format fixes some of it"; exit 1; }
 	@$(BIN)/lint-imports --no-logo || { echo "an import runs against the layers in pyproject.toml"; exit 1; }
 	@$(BIN)/ruff format --check . || { echo "some files are not in ruff's format; make format applies it"; exit 1; }
 	@$(BIN)/clang-format --dry-run -Werror $(CXX_SOURCES) || { echo "some C++ files are not in clang-format's format; make format applies it"; exit 1; }
-	@# clang-tidy reads the headers of the computer's own compiler; zig's are elsewhere.
+	@$(BIN)/python packaging/code_size.py
+
+# clang-tidy reads the headers of the computer's own compiler; zig's are elsewhere.
+tidy: $(VENV)/ci.stamp $(VENV)/core.stamp
 	@! command -v c++ >/dev/null || printf '%s\n' $(filter %.cpp,$(CXX_SOURCES)) | \
 	  xargs -P 2 -n 4 $(BIN)/clang-tidy --quiet -p $$(ls -td build/core/* | head -1) 2>/dev/null || { \
 	  echo "clang-tidy found the above"; exit 1; }
-	@$(BIN)/python packaging/code_size.py
 
 format: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format . ; $(BIN)/clang-format -i $(CXX_SOURCES)
@@ -135,19 +150,23 @@ docs: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@echo "docs/_build/index.html is up to date"
 
 pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
-	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
+	@echo "left out: tests marked full, of further robots, browsers, examples of minutes and fuzz; make test-all runs them, too"
+	@$(BIN)/python -m pytest $(SOME) $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
+
+pytest-all: $(VENV)/ci.stamp $(VENV)/core.stamp
+	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above; make pytest-all runs them alone"; exit 1; }
 
 # uv installs the lowest versions; pip cannot.
 .lowest/stamp: pyproject.toml
 	@$(PYTHON) -m venv .lowest
 	@.lowest/bin/python -m pip install --quiet uv
-	@.lowest/bin/uv pip install --quiet --python .lowest/bin/python --resolution lowest-direct --editable '.[dev]'
+	@.lowest/bin/uv pip install --quiet --python .lowest/bin/python --resolution lowest-direct --editable '.[ci]'
 	@touch $@
 
 lowest: .lowest/stamp
 	@.lowest/bin/python -m pytest -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above"; exit 1; }
 
-examples: $(VENV)/dev.stamp $(VENV)/core.stamp
+examples: $(VENV)/ci.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8
 
 # A simulator of Franka's controller that enforces its limits; it needs older packages than armctl, so an environment of its own.
