@@ -25,20 +25,19 @@ export PIP_NO_INPUT := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all core build-core install-dependencies stubs sanitize lint tidy format types docs pytest pytest-all lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
+.PHONY: help demo test test-all core build-core install-dependencies stubs sanitize lint format types docs check-docs pytest pytest-all lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
 
 help:
 	@echo "make demo      the bundled arm moves to the green target and prints a report"
 	@echo "make test      lint, types, docs and pytest, as follows"
-	@echo "make test-all  the same with the tests that make test leaves out: further robots, browsers, examples of minutes, fuzz; clang-tidy"
+	@echo "make test-all  the same with the tests that make test leaves out: further robots, browsers, examples of minutes, fuzz"
 	@echo "make core      build the compiled core in place, armctl/_core from armctl/cpp; only what has changed is compiled"
 	@echo "make stubs     write armctl/_core.pyi, the types of the compiled core"
 	@echo "make sanitize  the tests of the compiled core under AddressSanitizer and UndefinedBehaviorSanitizer"
-	@echo "make lint      ruff (rules and format), the import layers, clang-format, and the size of the code"
-	@echo "make tidy      clang-tidy"
+	@echo "make lint      ruff (rules and format), the import layers, clang-format, clang-tidy, and the size of the code"
 	@echo "make format    apply the fixes and the format of ruff and clang-format"
 	@echo "make types     pyright"
-	@echo "make docs      build the pages in docs/_build"
+	@echo "make docs      build the pages in docs/_build; make check-docs only looks for warnings"
 	@echo "make pytest    tests; make pytest-all runs all of them"
 	@echo "make lowest    tests with the lowest versions that pyproject.toml allows, in .lowest"
 	@echo "make examples  only the examples"
@@ -119,11 +118,11 @@ demo: $(VENV)/core.stamp
 
 # The checks use one core each.
 test:
-	@$(MAKE) --no-print-directory --jobs 2 lint types docs
+	@$(MAKE) --no-print-directory --jobs 2 lint types check-docs
 	@$(MAKE) --no-print-directory pytest
 
 test-all: $(VENV)/ci.stamp
-	@$(MAKE) --no-print-directory --jobs 2 lint tidy types docs
+	@$(MAKE) --no-print-directory --jobs 2 lint types docs
 	@$(MAKE) --no-print-directory pytest-all
 
 lint: $(VENV)/dev.stamp $(VENV)/core.stamp
@@ -131,13 +130,11 @@ lint: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/lint-imports --no-logo || { echo "an import runs against the layers in pyproject.toml"; exit 1; }
 	@$(BIN)/ruff format --check . || { echo "some files are not in ruff's format; make format applies it"; exit 1; }
 	@$(BIN)/clang-format --dry-run -Werror $(CXX_SOURCES) || { echo "some C++ files are not in clang-format's format; make format applies it"; exit 1; }
-	@$(BIN)/python packaging/code_size.py
-
-# clang-tidy reads the headers of the computer's own compiler; zig's are elsewhere.
-tidy: $(VENV)/ci.stamp $(VENV)/core.stamp
+	@# clang-tidy reads the headers of the computer's own compiler; zig's are elsewhere.
 	@! command -v c++ >/dev/null || printf '%s\n' $(filter %.cpp,$(CXX_SOURCES)) | \
 	  xargs -P 2 -n 4 $(BIN)/clang-tidy --quiet -p $$(ls -td build/core/* | head -1) 2>/dev/null || { \
 	  echo "clang-tidy found the above"; exit 1; }
+	@$(BIN)/python packaging/code_size.py
 
 format: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format . ; $(BIN)/clang-format -i $(CXX_SOURCES)
@@ -148,6 +145,9 @@ types: $(VENV)/dev.stamp $(VENV)/core.stamp
 docs: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build || { echo "the docs do not build; the warnings above count as errors"; exit 1; }
 	@echo "docs/_build/index.html is up to date"
+
+check-docs: $(VENV)/dev.stamp $(VENV)/core.stamp
+	@$(BIN)/python -m sphinx -W --keep-going -q -b dummy docs docs/_build/dummy || { echo "the docs do not build; the warnings above count as errors"; exit 1; }
 
 pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@echo "left out: tests marked full, of further robots, browsers, examples of minutes and fuzz; make test-all runs them, too"
@@ -160,7 +160,7 @@ pytest-all: $(VENV)/ci.stamp $(VENV)/core.stamp
 .lowest/stamp: pyproject.toml
 	@$(PYTHON) -m venv .lowest
 	@.lowest/bin/python -m pip install --quiet uv
-	@.lowest/bin/uv pip install --quiet --python .lowest/bin/python --resolution lowest-direct --editable '.[ci]'
+	@.lowest/bin/uv pip install --quiet --python .lowest/bin/python --resolution lowest-direct --editable '.[dev]'
 	@touch $@
 
 lowest: .lowest/stamp

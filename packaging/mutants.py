@@ -3,11 +3,11 @@
     python packaging/mutants.py [--count 200] [--seed 0] [--seconds 40] [--since REVISION] [SUBPACKAGE ...]
 
 Each error is one changed operator or number, or a comparison or condition that is turned round. What cannot be observed, or
-only tunes a search, is left alone: texts, warnings, types, seeds, `__repr__`, caches, tolerances, thresholds of rounding, and
-named constants of modules. The error is made in a copy of the repository under build/, and tests run there until one fails:
-those of the subpackage, of which the ones that call the changed function come first, the quick ones before the slow ones, and
-others that call it, for 40 s in all. Which test calls which function is recorded once, in build/mutants.json. An error that no
-test finds is printed: a test is missing, or it changes nothing that can be observed.
+only tunes a search, is left alone: texts, warnings, types, seeds, `__repr__`, caches, tolerances, thresholds of rounding,
+and named constants of modules. The error is made in a copy of the repository under build/, and tests of `make test` run
+there until one fails: those of the subpackage, of which the ones that call the changed function come first, the quick ones
+before the slow ones, and others that call it, for 40 s in all. Which test calls which function is recorded once, in
+build/mutants.json. An error that no test finds is printed: a test is missing, or it changes nothing that can be observed.
 
 Errors in C++ are compiled together as far as they are expressions within a line, each behind a switch that SEEDED_ERROR turns
 on and that notes when it is reached. All tests of the core run once without an error, which tells which of them reach which.
@@ -208,7 +208,7 @@ def run_pytest(arguments: list[str], plugin: object, number: int | None = None, 
         os.environ["PYTHONPATH"] = str(WORK)
         os.environ["SEEDED_ERROR"] = str(-1 if number is None else number)
         sys.path[:] = [str(WORK), *(path for path in sys.path if Path(path) not in (ROOT, ROOT / "packaging"))]
-        code = int(pytest.main(["-q", "-p", "no:cacheprovider", "-n", "0", *arguments], plugins=[plugin]))
+        code = int(pytest.main(["-q", "-p", "no:cacheprovider", "-n", "0", "-m", "not full", *arguments], plugins=[plugin]))
         armctl = sys.modules.get("armctl")
         assert armctl is None or Path(str(armctl.__file__)).is_relative_to(WORK), "another armctl was tested"
         return code
