@@ -5,6 +5,7 @@ from dataclasses import replace
 import daqp
 import numpy as np
 import pytest
+from arms import some_of
 from synthetic import BENT, serial_arm
 
 import armctl
@@ -85,7 +86,7 @@ def test_where_motors_are_weak_for_long_the_arm_stays_near_its_motion(arm, seed)
     assert weak.limits.contains(log.q, tolerance=1e-6)
 
 
-@pytest.mark.parametrize("seed", [2, 18, 20, 24, 27])
+@pytest.mark.parametrize("seed", some_of([2, 18, 20, 24, 27], [2]))
 def test_with_motors_that_are_far_too_weak_every_tick_has_a_plan(arm, seed):
     """Errors become so large that their feedback asks for more than the speed limits: the plan matters most there."""
     motion = random_motion(arm, seed)
@@ -230,7 +231,9 @@ def test_without_a_plan_the_limits_of_the_tick_hold(arm):
     assert (np.abs(log.tau_cmd) <= slow.limits.tau_max).all()
 
 
-@pytest.mark.parametrize(("seed", "rate", "contradicts"), [(3, 30.0, True), (3, 40.0, False), (21, 200.0, False)])
+@pytest.mark.parametrize(
+    ("seed", "rate", "contradicts"), [(3, 30.0, True), (3, 40.0, False), pytest.param(21, 200.0, False, marks=pytest.mark.full)]
+)
 def test_the_plan_foresees_the_limit_of_the_torque_rate(arm, seed, rate, contradicts):
     motion = random_motion(arm, seed)
     law = armctl.MPC(arm, torque_rate=rate)

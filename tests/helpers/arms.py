@@ -101,7 +101,7 @@ ROBOTS = [BUNDLED, *(_SHORT.get(r.name, r.name) for r in menagerie.robots() if a
 FEW = {BUNDLED, "panda", "unitree_go2", *(path.stem for path in MODELS.iterdir())}
 
 
-def some_of(names: Iterable[str], few: Collection[str] = frozenset(FEW)) -> list:
+def some_of(names: Iterable, few: Collection = frozenset(FEW)) -> list:
     """Parameters of a test, of which only a few belong to `make test`.
 
     Args:
