@@ -8,7 +8,9 @@ BIN := $(VENV)/bin
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # Arguments of pytest. Tests marked `full` are left out unless `make test-all` runs them.
 TESTS ?=
-SOME := -m "not full"
+ALL := -m "not form"
+SOME := -m "not form and not full"
+FORM := tests/project/test_architecture.py tests/project/test_docstrings.py
 # One process runs a file: what its tests share is made once.
 BY_FILE := --dist loadfile --no-loadscope-reorder
 # What is installed first: for users, or for tests as well. What all tests need comes on top of that.
@@ -34,7 +36,7 @@ help:
 	@echo "make core      build the compiled core in place, armctl/_core from armctl/cpp; only what has changed is compiled"
 	@echo "make stubs     write armctl/_core.pyi, the types of the compiled core"
 	@echo "make sanitize  the tests of the compiled core under AddressSanitizer and UndefinedBehaviorSanitizer"
-	@echo "make lint      ruff (rules and format), the import layers, clang-format, clang-tidy, and the size of the code"
+	@echo "make lint      ruff (rules and format), the import layers, clang-format, clang-tidy, the form of the source, and its size"
 	@echo "make format    apply the fixes and the format of ruff and clang-format"
 	@echo "make types     pyright"
 	@echo "make docs      build the pages in docs/_build; make check-docs only looks for warnings"
@@ -134,6 +136,7 @@ lint: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@! command -v c++ >/dev/null || printf '%s\n' $(filter %.cpp,$(CXX_SOURCES)) | \
 	  xargs -P 2 -n 4 $(BIN)/clang-tidy --quiet -p $$(ls -td build/core/* | head -1) 2>/dev/null || { \
 	  echo "clang-tidy found the above"; exit 1; }
+	@$(BIN)/python -m pytest -q -m form -n 0 $(FORM) || { echo "the form of the source is not that of CONTRIBUTING.md, as listed above"; exit 1; }
 	@$(BIN)/python packaging/code_size.py
 
 format: $(VENV)/dev.stamp $(VENV)/core.stamp
@@ -154,7 +157,7 @@ pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest $(SOME) $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
 pytest-all: $(VENV)/ci.stamp $(VENV)/core.stamp
-	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above; make pytest-all runs them alone"; exit 1; }
+	@$(BIN)/python -m pytest $(ALL) $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above; make pytest-all runs them alone"; exit 1; }
 
 # uv installs the lowest versions; pip cannot.
 .lowest/stamp: pyproject.toml

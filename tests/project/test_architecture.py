@@ -13,6 +13,8 @@ import pytest
 
 import armctl
 
+pytestmark = pytest.mark.form
+
 PACKAGE = Path(armctl.__file__).parent
 MAX_MODULE_LINES = 500
 MAX_CPP_LINES = 600

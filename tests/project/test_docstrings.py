@@ -21,6 +21,8 @@ import armctl
 from armctl.core import errors
 from armctl.core.log import SimulationError
 
+pytestmark = pytest.mark.form
+
 ERRORS = {**vars(errors), "SimulationError": SimulationError}
 SECTIONS = ["Args", "Attributes", "Returns", "Yields", "Raises", "Warns", "Example"]
 RECORDS = {"NamedTuple", "TypedDict"}
