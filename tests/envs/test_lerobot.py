@@ -13,6 +13,7 @@ import armctl.envs
 EPISODES = 2
 
 
+@pytest.mark.full
 def test_lerobot_reads_every_frame(tmp_path):
     folder = tmp_path / "reach"
     env = armctl.envs.ArmEnv("robot_arm_3dof", action="cartesian_delta")

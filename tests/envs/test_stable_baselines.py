@@ -8,6 +8,8 @@ import gymnasium
 from stable_baselines3.common.env_checker import check_env
 from synthetic import arm_with_gripper
 
+pytestmark = pytest.mark.full
+
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(

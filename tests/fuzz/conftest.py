@@ -7,9 +7,18 @@ Each test runs a fixed number of cases, the same in every run of the suite, and 
 import os
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """All random tests are left to the full run."""
+    for item in items:
+        if item.path.parent == Path(__file__).parent:
+            item.add_marker("full")
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from arms import HELPERS, arm_of
 import armctl
 from armctl.links.franka import FR3
 
+pytestmark = pytest.mark.full
 pytest.importorskip("pylibfranka")
 pytest.importorskip("franky_sim")
 HAND = """<mujoco model="hand"><worldbody><body name="hand">

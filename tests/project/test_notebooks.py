@@ -4,13 +4,14 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("nbclient", reason="pip install -e '.[dev]'")
+pytest.importorskip("nbclient", reason="pip install -e '.[ci]'")
 
 import nbformat
 from arms import MISSING
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 
+pytestmark = pytest.mark.full
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "examples" / "notebooks").glob("*.ipynb"))
 
 

@@ -17,7 +17,10 @@ from arms import BUNDLED
 from commands import armctl_command
 
 CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no browser: apt-get install -y chromium")
+pytestmark = [
+    pytest.mark.full,
+    pytest.mark.skipif(CHROMIUM is None, reason="no browser: apt-get install -y chromium"),
+]
 pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
