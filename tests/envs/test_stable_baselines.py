@@ -11,7 +11,7 @@ from synthetic import arm_with_gripper
 pytestmark = pytest.mark.full
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::armctl.core.errors.MissingShapeWarning")
 @pytest.mark.parametrize(
     ("name", "action"),
     [

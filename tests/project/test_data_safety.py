@@ -193,6 +193,7 @@ def can_draw() -> bool:
     return True
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
 @pytest.mark.parametrize("group", GROUPS)
 def test_files_survive(tmp_path, group: str):
@@ -218,6 +219,7 @@ except armctl.ArmctlError as error:
 """
 
 
+@pytest.mark.full
 @pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
 @pytest.mark.parametrize("limit", [0, 5000, 40_000])
 def test_a_study_on_a_full_disk_is_one_sentence_and_continues(tmp_path, limit: int):

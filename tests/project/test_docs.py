@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from arms import MISSING
+from arms import MISSING, some_of
 
 import armctl
 from armctl.cli.main import command_parser
@@ -50,6 +50,7 @@ def test_a_command_in_the_pages_is_one_that_armctl_takes(command: str):
 README_COMMANDS = [line for line in blocks(TEXTS[Path("README.md")], "sh")[-1].splitlines() if line.startswith("armctl ")]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("command", [line for line in README_COMMANDS if not line.startswith("armctl view")])
 def test_a_command_of_the_readme_succeeds(command: str, tmp_path: Path):
     words = [sys.executable, "-m", *shlex.split(command)]
@@ -69,7 +70,22 @@ def test_what_the_commands_print_is_on_a_page(output: Path):
     assert any(f"{{literalinclude}} outputs/{output.name}\n" in text for text in TEXTS.values())
 
 
-@pytest.mark.parametrize("page", sorted(page for page, text in TEXTS.items() if blocks(text, "python")), ids=str)
+PROGRAMS = sorted(page for page, text in TEXTS.items() if blocks(text, "python"))
+# Pages whose programs take seconds.
+LONG = {
+    "llms.txt",
+    "coming-from.md",
+    "grippers.md",
+    "how-to.md",
+    "identification.md",
+    "learning.md",
+    "many-runs.md",
+    "motion.md",
+    "plants.md",
+}
+
+
+@pytest.mark.parametrize("page", some_of(PROGRAMS, [page for page in PROGRAMS if page.name not in LONG]), ids=str)
 @pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)

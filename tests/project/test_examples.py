@@ -10,7 +10,7 @@ from pathlib import Path
 
 import mujoco_menagerie
 import pytest
-from arms import MISSING
+from arms import MISSING, some_of
 from printed_outputs import difference
 
 import armctl
@@ -20,6 +20,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # JAX and PyTorch start threads, after which other tests of the process could not fork.
 APART = [path for path in EXAMPLES if re.search("jax|stable_baselines3", path.read_text(encoding="utf-8"))]
 LONG_EXAMPLES = {"91_ppo_learns_to_reach": 100}  # a third is the adapter to stable-baselines3
+QUICK = ("01_reach", "04_pd_waypoints", "20_solve_ik", "33_sequence_and_new_target", "35_your_own_mpc")
 # Packages that armctl does not declare, for they are large: examples say so, and stop.
 NOT_INSTALLED = ("pip install mujoco-mjx", "pip install stable-baselines3")
 
@@ -45,7 +46,11 @@ def test_an_example_is_short_and_begins_with_a_sentence(example: Path):
     assert first.endswith(".")
 
 
-@pytest.mark.parametrize("example", [path for path in EXAMPLES if path not in APART], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "example",
+    some_of([path for path in EXAMPLES if path not in APART], [path for path in EXAMPLES if path.stem in QUICK]),
+    ids=lambda path: path.stem,
+)
 @pytest.mark.filterwarnings("default")  # as outside a test
 def test_an_example_runs(example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """In this process, because to import everything again takes longer than most examples."""
@@ -63,6 +68,7 @@ def test_an_example_runs(example: Path, tmp_path: Path, monkeypatch: pytest.Monk
     assert_printed(example, capsys.readouterr().out)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("example", APART, ids=lambda path: path.stem)
 def test_an_example_with_another_framework_runs(example: Path, tmp_path: Path):
     done = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True, timeout=300)

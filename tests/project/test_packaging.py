@@ -57,6 +57,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothing_else(wheel: Path):
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "armctl").rglob("*.py")}
@@ -74,6 +75,7 @@ def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothi
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist())
 
 
+@pytest.mark.full
 def test_a_source_distribution_holds_the_tests_and_what_they_read(tmp_path: Path):
     call_backend("build_sdist", tmp_path)
     [sdist] = tmp_path.glob("mujoco_armctl-*.tar.gz")
@@ -131,6 +133,7 @@ def test_a_foreign_distribution_called_armctl_is_warned_of(tmp_path: Path):
     assert "armctl-3.1.4.dist-info: the distribution 'armctl' is another project's" in done.stderr
 
 
+@pytest.mark.full
 def test_the_own_distribution_is_not_warned_of(installed: Path):
     python = installed / "bin" / "python"
     assert run(
@@ -138,6 +141,7 @@ def test_the_own_distribution_is_not_warned_of(installed: Path):
     )
 
 
+@pytest.mark.full
 def test_an_installed_wheel_loads_the_bundled_arm(installed: Path):
     code = "import armctl, armctl.loading.catalog as c; "
     code += "print(c.bundled_models(), armctl.__version__, armctl.load('robot_arm_3dof').n)"
@@ -147,6 +151,7 @@ def test_an_installed_wheel_loads_the_bundled_arm(installed: Path):
     assert joints == "3"
 
 
+@pytest.mark.full
 def test_the_installed_command_reaches_the_target(installed: Path):
     assert run(installed / "bin" / "armctl", "reach", "robot_arm_3dof", cwd=installed).startswith("reached")
 
@@ -170,6 +175,7 @@ def test_a_computer_without_a_compiler_builds_the_core_and_reaches_the_target(tm
     assert run(tmp_path / "fresh" / "bin" / "armctl", "reach", "robot_arm_3dof", cwd=tmp_path).startswith("reached")
 
 
+@pytest.mark.full
 def test_an_editable_install_is_a_path_to_the_checkout(tmp_path: Path):
     """So a git worktree on PYTHONPATH uses its own extension, and no import hook finds another."""
     call_backend("build_editable", tmp_path)

@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="limits and folders of Linux")
+pytestmark = [
+    pytest.mark.full,
+    pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="limits and folders of Linux"),
+]
 
 LIMITED = "import resource, sys; resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]),) * 2); sys.argv[1:2] = []; "
 PROGRAM = "import sys; from armctl.cli import program; sys.exit(program())"
