@@ -46,7 +46,7 @@ def joints(model: mujoco.MjModel, numbers) -> str:
 
 
 def test_what_has_no_name_is_called_by_its_kind_and_number():
-    model = model_of('<body><joint axis="0 1 0"/><geom size="0.1"/></body>', '<actuator><motor joint=""/></actuator>' * 0)
+    model = model_of('<body><joint axis="0 1 0"/><geom size="0.1"/></body>')
     assert queries.joint_name(model, 0) == "joint0"
     assert queries.body_name(model, 1) == "body1"
     assert queries.geom_owner_name(model, 0) == "body1"
@@ -59,7 +59,7 @@ def test_a_geom_of_the_world_is_called_by_its_own_name_and_others_by_their_body(
 
 def test_a_body_is_found_by_its_name_and_an_unknown_one_is_an_error_with_a_suggestion(model):
     assert model.body(queries.body_named(model, "tool")).name == "tool"
-    with pytest.raises(UnknownNameError, match=r"tol.*similar: tool"):
+    with pytest.raises(UnknownNameError, match="unknown body 'tol'; did you mean 'tool'"):
         queries.body_named(model, "tol")
     assert queries.object_id(model, mujoco.mjtObj.mjOBJ_BODY, "\ud800") == -1
 
@@ -127,7 +127,7 @@ def test_obstacles_are_shapes_that_collide_and_are_not_the_robot(model):
     assert not queries.has_obstacles(alone, (0, 1))
     assert not queries.colliding_geoms(alone).any()
     without = model_of(rest='<option><flag contact="disable"/></option>')
-    assert queries.colliding_geoms(model).sum() == 6
+    assert queries.colliding_geoms(model).sum() == 5
     assert not queries.colliding_geoms(without).any()
 
 
@@ -177,7 +177,7 @@ def test_a_tendon_acts_on_the_joints_that_change_its_length():
 
 def test_forces_of_contacts_carry_the_weight_of_what_rests_on_them():
     model = model_of(
-        '<geom type="plane" size="1 1 1"/><body pos="0 0 0.1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
+        '<geom type="plane" size="1 1 1"/><body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
     )
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 2000)
