@@ -74,7 +74,7 @@ def test_with_weak_motors_the_error_of_the_tip_is_a_third(arm, seed):
     assert weak.limits.contains(log.q, tolerance=1e-6)
 
 
-@pytest.mark.parametrize("seed", [3, 5, 13, 17])
+@pytest.mark.parametrize("seed", some_of([3, 5, 13, 17], [3]))
 def test_where_motors_are_weak_for_long_the_arm_stays_near_its_motion(arm, seed):
     """Clipped computed torque lets joints exceed their speed limits instead, and so catches up."""
     motion = random_motion(arm, seed)

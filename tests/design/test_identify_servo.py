@@ -107,8 +107,8 @@ def test_parameters_are_those_of_the_real_servos(known):
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("stiffness", "damping"),
-    [([500, 660], [7.0, 5.0]), ([0.9, 1.1], [0.1, 0.1]), ([500, 1.1], [7.0, 0.1]), ([17, 22], [7.0, 0.05])],
-    ids=["30 times softer than the file", "20 times stiffer", "one softer and one stiffer", "other damping ratios"],
+    [([500, 1.1], [7.0, 0.1]), ([17, 22], [7.0, 0.05])],
+    ids=["one 30 times softer than the file and one 20 times stiffer", "other damping ratios"],
 )
 def test_servos_are_found_from_files_with_others(tmp_path, stiffness, damping):
     path = tmp_path / "others.xml"
@@ -247,11 +247,10 @@ def test_files_have_the_identified_servos(known, file, tmp_path):
     ("before", "after"),
     [
         ('<motor joint="a" gear="2" ctrlrange="-1 1"/>', ""),
-        ("", '<motor joint="a" gear="2" ctrlrange="-1 1"/>'),
         ("", '<position joint="a" kp="20" kv="1" ctrlrange="-1.5 1.5" forcerange="-20 20"/>'),
         ('<velocity joint="b" kv="1" forcerange="-5 5"/>', '<motor joint="a" forcerange="-1 1"/>'),
     ],
-    ids=["a motor before the servo", "a motor behind it", "two servos", "two on both"],
+    ids=["a motor before the servo", "two servos", "two on both"],
 )
 def test_a_joint_with_two_actuators_gets_one_servo_with_the_gains_of_both(before, after, tmp_path):
     path = tmp_path / "two.xml"

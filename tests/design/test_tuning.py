@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from arms import arm_of
+from arms import arm_of, some_of
 from synthetic import BENT, serial_arm
 
 import armctl
@@ -18,7 +18,7 @@ def arm(tmp_path_factory):
     return serial_arm(tmp_path_factory.mktemp("planar"), BENT["planar"])
 
 
-@pytest.mark.parametrize("law", ["pd", "computed-torque-observer", "qp"])
+@pytest.mark.parametrize("law", some_of(["pd", "computed-torque-observer", "qp"], ["computed-torque-observer"]))
 def test_tuned_gains_satisfy_the_bounds(arm, law):
     found = armctl.tune(arm, law, delay_margin=8e-3, peak_sensitivity=1.65, poses=3, plants=[PLANT])
     assert found, found.reason
@@ -76,9 +76,9 @@ def elevator(mass, damping, dt):
     )
 
 
-def margins_of_elevator(kp, kd, mass, damping, dt, lag):
+def margins_of_elevator(kp, kd, mass, damping, dt, lag, count=4000):
     """Delay margin, s, and Ms of PD gains in MuJoCo's step, by a grid of frequencies; of an unstable loop zero and infinity."""
-    w = np.geomspace(1e-2, 0.999 * np.pi / dt, 4000)
+    w = np.geomspace(1e-2, 0.999 * np.pi / dt, count)
     z = np.exp(1j * w * dt)
     pushed = dt / (mass + dt * damping) / (z - mass / (mass + dt * damping))
     L = pushed * (kp * dt * z / (z - 1) + kd) * z**-lag
@@ -94,8 +94,8 @@ def margins_of_elevator(kp, kd, mass, damping, dt, lag):
     ("mass", "damping", "dt", "lag", "delay_margin"),
     [
         (6.0, 8.0, 0.005, 10, 0.01),
-        pytest.param(6.0, 8.0, 0.005, 0, 0.06, marks=pytest.mark.full),
-        pytest.param(60.0, 0.0, 0.002, 0, 0.12, marks=pytest.mark.full),
+        (6.0, 8.0, 0.005, 0, 0.06),
+        (60.0, 0.0, 0.002, 0, 0.12),
         (3.0, 400.0, 0.004, 5, 0.02),
     ],
 )
@@ -109,15 +109,16 @@ def test_the_stiffness_of_an_elevator_is_the_highest_that_a_grid_of_gains_finds(
     assert margin >= 0.998 * delay_margin
     assert peak <= 1.705
     best = 0.0
-    for stiffness in np.geomspace(kp, 20 * kp, 40):
+    for stiffness in np.append(np.geomspace(kp, 2.0 * kp, 10), np.geomspace(2.5 * kp, 20 * kp, 8)):
         for rate in np.geomspace(1.0, 1000.0, 60):
-            margin, peak = margins_of_elevator(stiffness, stiffness / rate, mass, damping, dt, lag)
+            margin, peak = margins_of_elevator(stiffness, stiffness / rate, mass, damping, dt, lag, 1000)
             if margin >= delay_margin and peak <= 1.7:
                 best = stiffness
     assert best <= 1.1 * kp
 
 
-@pytest.mark.parametrize("damping", [0.5, pytest.param(20.0, marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("damping", [0.5, 20.0])
 def test_looser_bounds_never_give_worse_gains(tmp_path, damping):
     arm = serial_arm(tmp_path, replace(BENT["planar"], joint=f'damping="{damping}"'))
     frequencies = 2 * np.pi * np.array([0.01, 0.1, 1.0])

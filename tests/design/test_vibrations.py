@@ -54,7 +54,7 @@ def swings(arm, law, loop, plant):
     return max(found)
 
 
-@pytest.mark.parametrize("law", ["pd-gravity", "computed-torque", "computed-torque-observer"])
+@pytest.mark.parametrize("law", some_of(["pd-gravity", "computed-torque", "computed-torque-observer"], ["pd-gravity"]))
 @pytest.mark.parametrize(("resonance", "damping"), [(6.0, 0.01), (12.0, 0.3)])
 def test_a_predicted_vibration_is_that_of_the_simulation(arm, law, resonance, damping):
     plant = elastic(arm, resonance, damping)

@@ -46,6 +46,7 @@ def test_the_gap_is_50_um_in_every_direction(arm):
         assert touches(insertion.GAP_M + ACCURACY_M, angle)
 
 
+@pytest.mark.full
 def test_the_peg_is_found_and_inserted(arm):
     run = insertion.insert(arm, HOLE, seed=3)
     assert run.ok
