@@ -331,6 +331,7 @@ def test_one_client_too_many_is_refused_and_the_others_stay(page):
         follows(page, client)
 
 
+@pytest.mark.full
 def test_many_connections_cost_little_memory(page):
     before = _memory_mb()
     for _ in range(20):
@@ -371,6 +372,7 @@ def test_uploads_are_dropped(page):
     assert _memory_mb() - before < 60
 
 
+@pytest.mark.full
 def test_a_flood_of_payloads_costs_one_thread(page):
     import threading
 
@@ -464,6 +466,7 @@ def test_the_oldest_request_is_cut_if_there_are_too_many(monkeypatch: pytest.Mon
             connection.close()
 
 
+@pytest.mark.full
 def test_hundreds_of_idle_connections_lock_nobody_out(page):
     with connected(page) as client:
         idle = [socket.create_connection(("127.0.0.1", page.port), timeout=TIMEOUT_S) for _ in range(280)]

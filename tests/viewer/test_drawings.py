@@ -91,6 +91,7 @@ def test_the_charts_show_millimetres_percents_and_the_age_of_each_sample(paper):
     assert torques.data[2] == pytest.approx([100.0] * 3)
 
 
+@pytest.mark.full
 def test_the_demonstration_goes_round_and_comes_back_until_somebody_aims_elsewhere():
     arm = arm_of(BUNDLED)
     session = RealTimeSession(arm)

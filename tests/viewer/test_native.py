@@ -84,6 +84,7 @@ def ended(window: subprocess.Popen) -> tuple[int, str]:
     return window.returncode, err
 
 
+@pytest.mark.full
 def test_a_drag_moves_the_target_and_the_arm_and_ctrl_q_closes(screen: dict[str, str], window: subprocess.Popen):
     ordered(screen, "windowfocus", ordered(screen, "search", "--name", "MuJoCo").split()[0])
     time.sleep(2.0)  # the arm sets out for the target
@@ -107,6 +108,7 @@ def test_a_drag_moves_the_target_and_the_arm_and_ctrl_q_closes(screen: dict[str,
     assert ended(window) == (0, "")
 
 
+@pytest.mark.full
 def test_ctrl_c_closes_the_window_without_a_word(window: subprocess.Popen):
     window.send_signal(signal.SIGINT)
     assert ended(window) == (0, "")
