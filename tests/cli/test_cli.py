@@ -252,6 +252,7 @@ def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
     assert json.loads(out)["result"] == found.to_dict()
 
 
+@pytest.mark.full
 def test_margins_are_a_table_and_a_page(capsys, tmp_path):
     chosen = ("--controllers", "pd,pd-gravity", "--poses", "3", "--timestep", "0.002")
     status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--report", str(tmp_path))
@@ -265,6 +266,7 @@ def test_margins_are_a_table_and_a_page(capsys, tmp_path):
         assert figures["delay"]["value"] == again.delay.value
 
 
+@pytest.mark.full
 def test_compare_shows_every_controller(capsys):
     status, out, _ = run(capsys, "compare", BUNDLED, "--controllers", "all")
     assert status == 0

@@ -11,7 +11,7 @@ from synthetic import limb, motors
 
 from armctl.loading.catalog import BUNDLED
 
-POSES = 100  # at each chain
+POSES = 40  # at each chain
 ROBOTS = [BUNDLED, *(f"{robot.name}/{robot.default_model}" for robot in menagerie.robots() if at_hand(robot.name))]
 SOFT = '<equality><joint joint1="c" joint2="b" polycoef="0 1 0 0 0" solref="0.02 1" solimp="0.9 0.9 0.001 0.5 2"/></equality>'
 

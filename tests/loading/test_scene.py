@@ -232,6 +232,7 @@ def test_a_box_that_only_some_configurations_cut_keeps_its_contact(tmp_path):
     assert "turret" in {contact.body for contact in log.contacts}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("count", [1500, 4000, 10_000])
 def test_an_arm_among_thousands_of_things_loads_and_mujoco_steps_it(tmp_path, count):
     """MuJoCo reserves memory for all pairs of bodies; the default is too little from 1900 on."""
