@@ -373,6 +373,7 @@ def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.html", "comparison.json", "comparison.md"]
 
 
+@pytest.mark.full
 def test_compare_tunes_controllers_to_one_delay_margin(capsys):
     chosen = ("--controllers", "computed-torque,computed-torque-textbook", "--poses", "2", "--workers", "1")
     _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--json")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from arms import some_of
 from motions import Still, Sway
 from synthetic import SHAPES, serial_arm
 
@@ -30,7 +31,7 @@ UNSUPPORTED = ("pd", "pd-feedforward")  # away from its reference, a light arm f
         pytest.param("continuous", 0.004, marks=pytest.mark.full),
     ],
 )
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", some_of(SHAPES, ["tapering", "geared", "sliding"]))
 def test_default_gains_hold_on_extreme_arms(tmp_path, shape, integrator, dt):
     continuous = integrator == "continuous"
     arm = serial_arm(tmp_path, SHAPES[shape], "Euler" if continuous else integrator)

@@ -64,7 +64,7 @@ def assert_joins(motion, start: armctl.Setpoint, goal: np.ndarray) -> None:
 def test_a_move_starts_in_the_last_moments_of_another_one_and_takes_as_long_as_it_had_left(light, straight, left):
     """Rounding of the position by 2e-16 rad at a jerk of 20 rad/s^3 takes 4 (1e-17)^(1/3) = 1e-5 s to correct."""
     rng = np.random.default_rng(1)
-    for _ in range(30):
+    for _ in range(15):
         arm = random_arm(light, rng)
         q = rng.uniform(-1, 1, N)
         goal = q + rng.normal(0, 0.3, N)
@@ -79,7 +79,7 @@ def test_a_move_starts_in_the_last_moments_of_another_one_and_takes_as_long_as_i
 @pytest.mark.parametrize("left", LEFT_S)
 def test_a_goal_that_moves_a_little_in_the_last_moments_is_reached(light, left):
     rng = np.random.default_rng(2)
-    for _ in range(30):
+    for _ in range(15):
         arm = random_arm(light, rng)
         q = rng.uniform(-1, 1, N)
         goal = q + rng.normal(0, 0.3, N)
