@@ -24,6 +24,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+
+pytest.importorskip("gymnasium", reason="pip install -e '.[envs]'")
+pytest.importorskip("jax", reason="pip install -e '.[jax]'")
+
 from arms import arm_of
 from synthetic import Shape, arm_with_gripper, serial_arm
 
