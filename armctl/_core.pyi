@@ -56,7 +56,35 @@ class CollisionModel:
     What an arm could touch: shapes, the joints that move them, and pairs. Immutable.
     """
 
-    def __init__(self, **arguments) -> None:
+    def __init__(
+        self,
+        *,
+        references: numpy.ndarray,
+        n: int,
+        joint_offset: numpy.ndarray,
+        axes: numpy.ndarray,
+        anchors: numpy.ndarray,
+        slides: numpy.ndarray,
+        parents: numpy.ndarray,
+        joints: numpy.ndarray,
+        vertices: numpy.ndarray,
+        first_neighbor: numpy.ndarray,
+        neighbors: numpy.ndarray,
+        kinds: numpy.ndarray,
+        frames: numpy.ndarray,
+        inflations: numpy.ndarray,
+        positions: numpy.ndarray,
+        rotations: numpy.ndarray,
+        sizes: numpy.ndarray,
+        centers: numpy.ndarray,
+        radii: numpy.ndarray,
+        first_vertex: numpy.ndarray,
+        first_geoms: numpy.ndarray,
+        second_geoms: numpy.ndarray,
+        margins: numpy.ndarray,
+        directions: numpy.ndarray,
+        ratio: numpy.ndarray,
+    ) -> None:
         """
         A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.
         """
@@ -172,7 +200,34 @@ class ClearanceProof:
 class ArmModel:
     """The model of an arm: a tree of links. Immutable."""
 
-    def __init__(self, **given) -> None:
+    def __init__(
+        self,
+        *,
+        masses: numpy.ndarray,
+        armature: numpy.ndarray,
+        rotations: numpy.ndarray,
+        translations: numpy.ndarray,
+        slides: numpy.ndarray,
+        parents: numpy.ndarray,
+        centers: numpy.ndarray,
+        inertias: numpy.ndarray,
+        lifted_masses: numpy.ndarray,
+        lifted_moments: numpy.ndarray,
+        stiffness: numpy.ndarray,
+        spring_rest: numpy.ndarray,
+        offsets: numpy.ndarray,
+        damping: numpy.ndarray,
+        friction_loss: numpy.ndarray,
+        friction_gain: numpy.ndarray,
+        friction_rate: numpy.ndarray,
+        chain_length: int,
+        gravity: numpy.ndarray,
+        tip_rotation: numpy.ndarray,
+        tip_translation: numpy.ndarray,
+        implicit_damping: bool,
+        implicit_coriolis: bool,
+        ratio: numpy.ndarray,
+    ) -> None:
         """
         A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains them.
         """
@@ -382,7 +437,25 @@ class Chain:
     Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last arguments.
     """
 
-    def __init__(self, **arguments) -> None:
+    def __init__(
+        self,
+        *,
+        slides: numpy.ndarray,
+        low: numpy.ndarray,
+        reach: float,
+        high: numpy.ndarray,
+        period: numpy.ndarray,
+        unknowns: numpy.ndarray,
+        ratios: numpy.ndarray,
+        rotations: numpy.ndarray,
+        translations: numpy.ndarray,
+        relation: int | None = None,
+        first: int | None = None,
+        others: numpy.ndarray | None = None,
+        pair_relation: int | None = None,
+        pair_first: int | None = None,
+        distances_to_points: numpy.ndarray | None = None,
+    ) -> None:
         """
         A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.
         """
@@ -608,29 +681,87 @@ class ComputedTorque(Law):
     Computed torque; with weights of an estimate, at estimated positions and velocities.
     """
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        stiffness: float,
+        damping: float,
+        added_damping: numpy.ndarray,
+        decay_rate: float,
+        textbook: bool,
+        torque_limit: numpy.ndarray,
+        position_weight: float,
+        velocity_weight: float,
+        dt: float,
+        continuous: bool,
+    ) -> None: ...
 
 class LQR(Law):
     """
     Linear quadratic regulator with integral action, at estimated positions and velocities.
     """
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        nodes: numpy.ndarray,
+        feedback: numpy.ndarray,
+        torque_limit: numpy.ndarray,
+        position_weight: float,
+        velocity_weight: float,
+        dt: float,
+        continuous: bool,
+    ) -> None: ...
 
 class ComputedTorqueObserver(Law):
     """Computed torque with a disturbance observer that estimates velocities."""
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        stiffness: float,
+        damping: float,
+        disturbance_weight: float,
+        torque_limit: numpy.ndarray,
+        position_weight: float,
+        velocity_weight: float,
+        dt: float,
+        continuous: bool,
+    ) -> None: ...
     @property
     def disturbance(self) -> NDArray[numpy.float64]:
         """The estimated disturbance, (n,) N m; a part of the memory."""
 
-class ComputedTorqueLearning(ComputedTorqueObserver):
+class ComputedTorqueLearning(Law):
     """
     Computed torque with an observer, which learns payload, friction and delay.
     """
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        stiffness: float,
+        damping: float,
+        disturbance_weight: float,
+        torque_limit: numpy.ndarray,
+        position_weight: float,
+        velocity_weight: float,
+        dt: float,
+        continuous: bool,
+        filter_weight: float,
+        information_weight: float,
+        forgetting: float,
+        torque_precision: numpy.ndarray,
+        prior_deviations: numpy.ndarray,
+    ) -> None: ...
+    @property
+    def disturbance(self) -> NDArray[numpy.float64]:
+        """The estimated disturbance, (n,) N m; a part of the memory."""
+
     @property
     def estimate(self) -> NDArray[numpy.float64]:
         """
@@ -640,14 +771,48 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
 class ComputedTorqueQP(Law):
     """Computed torque within limits of torque, velocity and position."""
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        stiffness: float,
+        damping: float,
+        added_damping: numpy.ndarray,
+        decay_rate: float,
+        torque_limit: numpy.ndarray,
+        q_min: numpy.ndarray,
+        q_max: numpy.ndarray,
+        v_max: numpy.ndarray,
+        a_max: numpy.ndarray,
+        length: float,
+        dt: float,
+        continuous: bool,
+    ) -> None: ...
 
-class MPC(ComputedTorqueQP):
+class MPC(Law):
     """
     Model predictive control within limits of torque, velocity and position.
     """
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        blocks: numpy.ndarray,
+        stiffness: float,
+        damping: float,
+        added_damping: numpy.ndarray,
+        decay_rate: float,
+        torque_limit: numpy.ndarray,
+        q_min: numpy.ndarray,
+        q_max: numpy.ndarray,
+        v_max: numpy.ndarray,
+        a_max: numpy.ndarray,
+        length: float,
+        dt: float,
+        continuous: bool,
+        torque_rate: numpy.ndarray,
+    ) -> None: ...
     @property
     def counts(self) -> NDArray[numpy.float64]:
         """
@@ -666,19 +831,38 @@ def solve_program(
 class OperationalSpace(Law):
     """Operational space control with a posture in the null space."""
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(
+        self, of: ArmModel, *, stiffness: float, damping: float, posture_stiffness: float, posture_damping: float
+    ) -> None: ...
 
 class Impedance(Law):
     """Cartesian impedance control without inertia shaping."""
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
-    def set_stiffness(self, **kwargs) -> None:
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        stiffness: numpy.ndarray,
+        max_error: numpy.ndarray,
+        posture_stiffness: numpy.ndarray,
+        damping_ratio: float,
+    ) -> None: ...
+    def set_stiffness(self, stiffness: numpy.ndarray) -> None:
         """Replaces the stiffness of the tip, (6,) N/m and N m/rad."""
 
 class Admittance(Law):
     """Admittance control: a position loop follows a compliant reference."""
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        mass: numpy.ndarray,
+        damping: numpy.ndarray,
+        stiffness: numpy.ndarray,
+        bandwidth: float,
+        dt: float,
+    ) -> None: ...
     @property
     def offset(self) -> NDArray[numpy.float64]:
         """
@@ -688,8 +872,20 @@ class Admittance(Law):
 class HybridForce(Law):
     """Hybrid force/motion control with contact transition."""
 
-    def __init__(self, of: ArmModel, **gains) -> None: ...
-    def set_axes(self, **kwargs) -> None:
+    def __init__(
+        self,
+        of: ArmModel,
+        *,
+        bandwidth: float,
+        damping_ratio: float,
+        in_tip_frame: bool,
+        approach_speed: float,
+        contact_force: float,
+        dt: float,
+        targets: numpy.ndarray,
+        is_force: numpy.ndarray,
+    ) -> None: ...
+    def set_axes(self, is_force: numpy.ndarray, targets: numpy.ndarray) -> None:
         """
         Replaces the force axes, `is_force` and `targets` (6,). One that comes back later begins with an approach.
         """
@@ -698,7 +894,23 @@ class HybridForce(Law):
     def in_contact(self) -> bool:
         """Whether every force axis with a target is in contact."""
 
-def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from_near: bool, **arguments) -> bool:
+def fastest_path_speed(
+    coefficients: numpy.ndarray,
+    interval_length: float,
+    from_near: bool,
+    *,
+    interval: numpy.ndarray,
+    damping: numpy.ndarray,
+    j_max: numpy.ndarray,
+    weights: numpy.ndarray,
+    b_max: numpy.ndarray,
+    force_end: numpy.ndarray,
+    force_weights: numpy.ndarray,
+    low: numpy.ndarray,
+    high: numpy.ndarray,
+    jerk_end: numpy.ndarray,
+    jerk_weights: numpy.ndarray,
+) -> bool:
     """
     Fills the coefficients of the squared path speed that takes the least time; False if none keeps the bounds.
 
@@ -706,7 +918,17 @@ def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from
     the bounds.
     """
 
-def make_fastest(motion: numpy.ndarray, from_near: bool, **arguments) -> None:
+def make_fastest(
+    motion: numpy.ndarray,
+    from_near: bool,
+    *,
+    q: numpy.ndarray,
+    v_max: numpy.ndarray,
+    a_max: numpy.ndarray,
+    j_max: numpy.ndarray,
+    v_bound: numpy.ndarray,
+    a_bound: numpy.ndarray,
+) -> None:
     """
     Replaces a motion through K waypoints by the fastest one.
 

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from armctl import _core
 from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain
 from armctl.control.gains import DELAY_MARGINS_S
 from armctl.control.interface import ArmController
-from armctl.control.observer_gains import ObserverGains, estimate_weights, low_pass_weight, observer_gains
+from armctl.control.observer_gains import EstimateWeights, ObserverGains, estimate_weights, low_pass_weight, observer_gains
 from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
+
+_OBSERVERS = (_core.ComputedTorqueObserver, _core.ComputedTorqueLearning)  # laws that estimate a disturbance
+
+
+class _ObserverLawGains(EstimateWeights):
+    """The gains of a compiled law with an observer."""
+
+    stiffness: float
+    damping: float
+    disturbance_weight: float
+    torque_limit: Array
+    dt: float
+    continuous: bool
 
 
 class ComputedTorqueObserver(ArmController):
@@ -59,12 +70,12 @@ class ComputedTorqueObserver(ArmController):
     def disturbance(self) -> Array:
         """The torque (n,) N m that the observer estimates."""
         law = self._law
-        return law.disturbance.copy() if isinstance(law, _core.ComputedTorqueObserver) else np.zeros(self.n)
+        return law.disturbance.copy() if isinstance(law, _OBSERVERS) else np.zeros(self.n)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         return _core.ComputedTorqueObserver(self._model(dt, continuous), **self._law_gains(dt, continuous))
 
-    def _law_gains(self, dt: float, continuous: bool) -> dict[str, Any]:
+    def _law_gains(self, dt: float, continuous: bool) -> _ObserverLawGains:
         gains = self._gains_at(dt)
         return {
             "stiffness": gains.feedback**2,

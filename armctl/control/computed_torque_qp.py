@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypedDict
 
 from armctl import _core
 from armctl.control.computed_torque import ComputedTorque
@@ -10,7 +10,7 @@ from armctl.control.gain_attribute import Gain
 from armctl.control.task_space import arm_length
 from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.errors import InputError
-from armctl.core.validation import shown
+from armctl.core.validation import Array, shown
 from armctl.robot.arm import Arm
 
 
@@ -18,6 +18,23 @@ def _no_estimate(name: str, value: Any, _n: int) -> float | None:
     if value is not None:
         raise InputError(f"{name}: got {shown(value)}, but this law uses measured positions and velocities; leave it None")
     return None
+
+
+class _LimitedLawGains(TypedDict):
+    """The gains of a compiled law within limits."""
+
+    stiffness: float
+    damping: float
+    added_damping: Array
+    decay_rate: float
+    torque_limit: Array
+    q_min: Array
+    q_max: Array
+    v_max: Array
+    a_max: Array
+    length: float
+    dt: float
+    continuous: bool
 
 
 class ComputedTorqueQP(ComputedTorque):
@@ -57,7 +74,7 @@ class ComputedTorqueQP(ComputedTorque):
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         return _core.ComputedTorqueQP(self._model(dt, continuous), **self._law_gains(dt, continuous))
 
-    def _law_gains(self, dt: float, continuous: bool) -> dict[str, Any]:
+    def _law_gains(self, dt: float, continuous: bool) -> _LimitedLawGains:
         limits = self._arm.limits
         return {
             "stiffness": self.bandwidth**2,
@@ -69,9 +86,6 @@ class ComputedTorqueQP(ComputedTorque):
             "v_max": limits.v_max,
             "a_max": limits.a_max,
             "torque_limit": limits.tau_max,
-            "position_weight": 0.0,
-            "velocity_weight": 0.0,
-            "textbook": False,
             "length": arm_length(self._arm),
             "dt": dt,
             "continuous": continuous,

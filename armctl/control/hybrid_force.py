@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TypedDict
 
 import numpy as np
 
@@ -18,6 +19,13 @@ from armctl.robot.arm import Arm
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FRAMES = ("world", "tip")
+
+
+class _Axes(TypedDict):
+    """Arguments of the compiled law."""
+
+    is_force: IntArray  # (6,) 1 for a force axis
+    targets: Array  # (6,) N and N m
 
 
 class HybridForce(ArmController):
@@ -117,7 +125,7 @@ class HybridForce(ArmController):
             **self._axes(),
         )
 
-    def _axes(self) -> dict[str, Array | IntArray]:
+    def _axes(self) -> _Axes:
         """Of each axis whether it is a force axis, (6,), and its target, (6,) N and N m."""
         is_force = np.array([name in self._force for name in AXES], dtype=np.int64)
         return {"is_force": is_force, "targets": np.array([self._force.get(name, 0.0) for name in AXES])}

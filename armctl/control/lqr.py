@@ -11,7 +11,7 @@ from armctl import _core
 from armctl.control.gain_attribute import Gain, joint_gain, optional_gain, scalar_gain
 from armctl.control.gains import DELAY_MARGINS_S, required_delay, sampled_inertia
 from armctl.control.interface import ArmController, checked_period
-from armctl.control.observer_gains import feedback_estimate
+from armctl.control.observer_gains import EstimateWeights, feedback_estimate
 from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Trajectory, check_motion
@@ -143,13 +143,8 @@ class LQR(ArmController):
         nodes = self._nodes(dt or self._arm.dt, continuous)
         return _core.LQR(
             self._model(dt, continuous),
-            stiffness=0.0,
-            damping=0.0,
-            added_damping=np.zeros(self.n),
-            decay_rate=0.0,
             **self._kalman_weights(dt),
             torque_limit=self._arm.limits.tau_max,
-            textbook=False,
             dt=dt,
             continuous=continuous,
             nodes=np.array([node.q for node in nodes]),
@@ -264,7 +259,7 @@ class LQR(ArmController):
             observer = feedback_estimate(self._arm, dt, 0.0 if self.max_error.any() else bandwidth) if dt else 0.0
         return {"bandwidth": bandwidth, "observer_bandwidth": observer, "integral_time": self.integral_time}
 
-    def _kalman_weights(self, dt: float) -> dict[str, float]:
+    def _kalman_weights(self, dt: float) -> EstimateWeights:
         """The gains of the stationary Kalman filter of a double integrator, after Kalata, "The tracking index" (1984)."""
         index = min((self.effective_gains(dt)["observer_bandwidth"] * dt) ** 2, _MAX_TRACKING_INDEX)
         root = 0.25 * (4.0 + index - np.sqrt(8.0 * index + index**2))

@@ -11,6 +11,7 @@ difference behind a low-pass of the same noise; see Friedland, Control System De
 
 from dataclasses import dataclass
 from math import expm1, log
+from typing import TypedDict
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -128,9 +129,13 @@ def low_pass_weight(bandwidth: float, dt: float) -> float:
     return -expm1(-min(bandwidth * dt, MAX_BANDWIDTH_TIMES_DT))
 
 
-def estimate_weights(bandwidth: float, dt: float) -> dict[str, float]:
-    """How much the error of the predicted position corrects the estimated position and velocity, as arguments of a law.
+class EstimateWeights(TypedDict):
+    """How much the error of the predicted position corrects the estimated position and velocity, as arguments of a law."""
 
-    The bandwidth, rad/s, is that of the estimate, whose two poles are equal.
-    """
+    position_weight: float
+    velocity_weight: float
+
+
+def estimate_weights(bandwidth: float, dt: float) -> EstimateWeights:
+    """The weights for a bandwidth, rad/s, of the estimate, whose two poles are equal."""
     return {"position_weight": -expm1(-2 * bandwidth * dt), "velocity_weight": expm1(-bandwidth * dt) ** 2}

@@ -2,8 +2,8 @@
 #pragma once
 #include <memory>
 
-#include "arguments.hpp"
 #include "errors.hpp"
+#include "linear_algebra.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
@@ -57,55 +57,33 @@ struct Drive {
     DryFriction friction;
 };
 
+// What an arm is, in SI units.
+struct ArmDescription {
+    std::vector<Joint> joints;  // m, parents before children; those from the base to the tip come first
+    std::vector<Drive> drives;  // n, that the motors drive
+    DenseMatrix ratio;          // (m, n): the positions of the joints are ratio q + their offsets
+    size_t chain_length = 0;    // the joints from the base to the tip
+    Vec3 gravity;
+    Pose T_last_tip;                 // of the tip in the last joint's frame
+    bool implicit_damping = false;   // whether a step evaluates damping at the velocity at its end
+    bool implicit_coriolis = false;  // and Coriolis forces
+};
+
 // Immutable after its construction: threads share it.
 struct ArmModel {
-    // Of each of the m joints: `rotations` (m, 3, 3) and `translations` (m, 3) in the parent's frame at position zero, `slides`,
-    // `parents` (-1 for the base), `masses`, `centers` (m, 3) of mass, `inertias` (m, 6) xx yy zz xy xz yz about the center of mass,
-    // `lifted_masses` and `lifted_moments` (m, 3) of what gravity compensation lifts, `stiffness` (m, 3) and `spring_rest` of a
-    // spring. Joint positions are `ratio` (m, n) q + `offsets`. Of each of the n that the motors drive: `armature`, `damping` (n,
-    // 3), `friction_loss`, `friction_gain`, `friction_rate`. Of the arm: `chain_length`, the joints from the base to the tip, which
-    // come first; `gravity`, `tip_rotation` and `tip_translation` in the last joint's frame, `implicit_damping` and
-    // `implicit_coriolis` of a step. Units are SI.
-    explicit ArmModel(const Arguments& given)
-        : ratio(given.length("masses"), given.length("armature")),
-          chain_length(checked_index(given.integer("chain_length") - 1, ratio.rows(), "chain_length") + 1),
-          gravity(vec3(given.vector(3, "gravity"))),
-          T_last_tip{Rotation::from_rows(given.shaped({3, 3}, "tip_rotation")), vec3(given.vector(3, "tip_translation"))} {
-        const size_t m = ratio.rows();
-        const size_t n = ratio.columns();
-        for (size_t j = 0; j < m; ++j) {
-            const Vector inertia = given.matrix(m, 6, "inertias").row(j);
-            joints.push_back({
-                .rotation = Rotation::from_rows(given.shaped({m, 3, 3}, "rotations").subspan(9 * j, 9)),
-                .translation = vec3(given.matrix(m, 3, "translations").row(j)),
-                .slides = given.integers(m, "slides")[j] != 0,
-                .parent = static_cast<int>(checked_index(given.integers(m, "parents")[j] + 1, j + 1, "parents")) - 1,
-                .mass = given.vector(m, "masses")[j],
-                .center = vec3(given.matrix(m, 3, "centers").row(j)),
-                .inertia = {inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5]},
-                .lifted_mass = given.vector(m, "lifted_masses")[j],
-                .lifted_moment = vec3(given.matrix(m, 3, "lifted_moments").row(j)),
-                .stiffness = polynomial(given.matrix(m, 3, "stiffness").row(j)),
-                .spring_rest = given.vector(m, "spring_rest")[j],
-                .offset = given.vector(m, "offsets")[j],
-            });
-        }
-        for (size_t i = 0; i < n; ++i) {
-            drives.push_back({
-                .armature = given.vector(n, "armature")[i],
-                .damping = polynomial(given.matrix(n, 3, "damping").row(i)),
-                .friction = {given.vector(n, "friction_loss")[i], given.vector(n, "friction_gain")[i], given.vector(n, "friction_rate")[i]},
-            });
-        }
-        ratio.set(given.matrix(m, n, "ratio"));
-        is_plain = m == n;
+    explicit ArmModel(ArmDescription given)
+        : joints(std::move(given.joints)), drives(std::move(given.drives)), ratio(std::move(given.ratio)), chain_length(given.chain_length),
+          gravity(given.gravity), T_last_tip(given.T_last_tip), has_implicit_damping(given.implicit_damping) {
+        checked_index(static_cast<std::int64_t>(chain_length) - 1, joints.size(), "chain_length");
+        for (size_t j = 0; j < joints.size(); ++j) { checked_index(joints[j].parent + 1, j + 1, "parents"); }
+        if (ratio.rows() != joints.size() || ratio.columns() != drives.size()) { throw InputError("ratio: need a row for each joint"); }
+        is_plain = joints.size() == drives.size();
         has_lift = std::ranges::any_of(joints, [](const Joint& j) { return j.lifted_mass != 0.0 || norm(j.lifted_moment) != 0.0; });
         has_springs = std::ranges::any_of(joints, [](const Joint& joint) { return !joint.stiffness.is_zero(); });
         has_friction = std::ranges::any_of(drives, [](const Drive& drive) { return drive.friction.loss != 0.0; });
         const bool is_all_linear = std::ranges::all_of(drives, [](const Drive& drive) { return drive.damping.is_linear(); });
-        has_implicit_damping = given.flag("implicit_damping");
         // As in Pinocchio, Coriolis forces have no derivative where one joint follows another.
-        has_implicit_coriolis = given.flag("implicit_coriolis") && is_plain;
+        has_implicit_coriolis = given.implicit_coriolis && is_plain;
         has_implicit_nonlinear = has_implicit_coriolis || (has_implicit_damping && !is_all_linear);
     }
 
@@ -140,9 +118,6 @@ struct ArmModel {
 
     double step = 0.0;       // s, of implicit forces; 0 for continuous time
     double half_step = 0.0;  // s, from the start of the period to the instant at which a continuous model is evaluated
-
-private:
-    static Polynomial polynomial(Vector terms) { return {terms[0], terms[1], terms[2]}; }
 };
 
 using Model = std::shared_ptr<const ArmModel>;

@@ -7,8 +7,8 @@
 #include <numbers>
 #include <optional>
 
-#include "arguments.hpp"
 #include "errors.hpp"
+#include "linear_algebra.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
@@ -59,10 +59,6 @@ inline Unknown make_unknown(Bounds bounds, double period) {
     };
 }
 
-inline AxesRelation relation_of(const Arguments& arguments, const char* name) {
-    return static_cast<AxesRelation>(checked_index(arguments.integer(name), 2, name));
-}
-
 // A position turned by whole turns of a period, if it has one, to that nearest to `near` inside bounds, if there is one.
 inline double wound(double position, double near, Bounds bounds, double period) {
     if (!(period > 0)) { return position; }
@@ -72,41 +68,26 @@ inline double wound(double position, double near, Bounds bounds, double period) 
     return position;
 }
 
+struct ChainDescription {
+    double reach = 1.0;                         // m
+    std::vector<ChainJoint> joints;             // k
+    std::vector<Unknown> unknowns;              // n
+    Pose tip;                                   // in the last joint's frame
+    std::optional<SpecialAxes> special_axes{};  // of a chain with a closed form
+};
+
 // Immutable after its construction: threads share it.
 class Chain {
 public:
-    // From arrays that are named as here, for each of the k joints and each of the n unknowns; lengths in reaches, `reach` in m.
-    explicit Chain(const Arguments& arguments) : reach_(arguments.number("reach")) {
-        const size_t k = arguments.length("slides");
-        const size_t n = arguments.length("low");
-        if (k == 0 || n > k) { throw InputError("slides: expected at least one joint, and one for each unknown"); }
-        const Vector low = arguments.vector(n, "low");
-        const Vector high = arguments.vector(n, "high");
-        const Vector period = arguments.vector(n, "period");
-        for (size_t i = 0; i < n; ++i) { unknowns_.push_back(make_unknown({low[i], high[i]}, period[i])); }
-        const Integers slides = arguments.integers(k, "slides");
-        const Integers unknowns = arguments.integers(k, "unknowns");
-        const Vector ratios = arguments.vector(k, "ratios");
-        // Of each joint, and of the tip, in the frame before.
-        const Matrix rotations{arguments.shaped({k + 1, 3, 3}, "rotations").data(), k + 1, 9};
-        const Matrix translations = arguments.matrix(k + 1, 3, "translations");
-        const auto placement = [&](size_t j) { return Pose{Rotation::from_rows(rotations.row(j)), vec3(translations.row(j))}; };
-        for (size_t j = 0; j < k; ++j) {
-            joints_.push_back({placement(j), slides[j] != 0, checked_index(unknowns[j], n, "unknowns"), ratios[j]});
-        }
-        tip_ = placement(k);
-        if (!arguments.has("relation")) { return; }
-        const auto joint = [k](std::int64_t number) { return checked_index(number, k, "others"); };
-        const Integers others = arguments.integers(3, "others");
-        special_axes_ = SpecialAxes{
-            .relation = relation_of(arguments, "relation"),
-            .first = checked_index(arguments.integer("first") + 2, k, "first") - 2,
-            .others = {joint(others[0]), joint(others[1]), joint(others[2])},
-            .pair_relation = relation_of(arguments, "pair_relation"),
-            .pair_first = arguments.count("pair_first"),
-        };
-        const Vector distances = arguments.vector(k, "distances_to_points");
-        for (size_t j = 0; j < k; ++j) { joints_[j].distance_to_point = distances[j]; }
+    explicit Chain(ChainDescription given)
+        : joints_(std::move(given.joints)), unknowns_(std::move(given.unknowns)), tip_(given.tip), reach_(given.reach),
+          special_axes_(given.special_axes) {
+        const size_t k = joints_.size();
+        if (k == 0 || unknowns_.size() > k) { throw InputError("slides: expected at least one joint, and one for each unknown"); }
+        for (const ChainJoint& joint : joints_) { require_index(joint.unknown, unknowns_.size(), "unknowns"); }
+        if (!special_axes_) { return; }
+        for (const size_t other : special_axes_->others) { require_index(other, k, "others"); }
+        require_index(special_axes_->first + 2, k, "first");
     }
 
     // Whether the unknowns q (n,) are inside their bounds.

@@ -3,7 +3,6 @@
 #include <cmath>
 #include <memory>
 
-#include "arguments.hpp"
 #include "errors.hpp"
 #include "linear_algebra.hpp"
 
@@ -46,6 +45,7 @@ public:
 
     // What the law keeps from tick to tick, such as integrals: 0 at the first tick of a run. Scratch is not part of it.
     Result memory() { return memory_; }
+    size_t memory_size() const { return memory_.size(); }
 
     // Takes over the memory of a clone.
     virtual void set_memory(Vector numbers) { copy(numbers, memory_); }
@@ -71,9 +71,9 @@ private:
     Numbers memory_;
 };
 
-// A law, or a law that another one extends, whose clone is a copy at the start of a run.
-template <class ConcreteLaw, class Base = Law>
-class Cloneable : public Base {  // NOLINT(bugprone-crtp-constructor-accessibility): laws have no default constructor
+// A law whose clone is a copy at the start of a run. What laws share is a part of each, not a law above them.
+template <class ConcreteLaw>
+class Cloneable : public Law {  // NOLINT(bugprone-crtp-constructor-accessibility): laws have no default constructor
 public:
     std::unique_ptr<Law> clone() const override {
         auto copy = std::make_unique<ConcreteLaw>(static_cast<const ConcreteLaw&>(*this));
@@ -82,7 +82,7 @@ public:
     }
 
 protected:
-    using Base::Base;
+    using Law::Law;
 };
 
 // A value within [-bound, bound]; a value that is not a number remains one.

@@ -13,6 +13,7 @@ using Numbers = std::vector<double>;
 // A matrix that owns its numbers, row by row.
 class DenseMatrix {
 public:
+    DenseMatrix() = default;
     DenseMatrix(size_t rows, size_t columns) : rows_(rows), columns_(columns), numbers_(rows * columns) {}
 
     double& operator()(size_t row, size_t column) { return numbers_[row * columns_ + column]; }
@@ -29,8 +30,8 @@ public:
     void set(Matrix other) { std::ranges::copy(other.numbers(), numbers_.begin()); }
 
 private:
-    size_t rows_;
-    size_t columns_;
+    size_t rows_ = 0;
+    size_t columns_ = 0;
     Numbers numbers_;
 };
 

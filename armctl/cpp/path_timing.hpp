@@ -12,7 +12,6 @@
 // That b makes speed and acceleration convex is Verscheure et al., "Time-optimal path tracking for robots: a convex
 // optimization approach", IEEE Trans. Automatic Control 54(10), 2009.
 #pragma once
-#include "arguments.hpp"
 #include "errors.hpp"
 #include "interior_point.hpp"
 #include "vectors.hpp"
@@ -40,17 +39,33 @@ inline void add(size_t k, Vec3 weights, double slope, double curvature, Result g
     }
 }
 
+// Bounds at P points, each of which lies in an interval; the weights are those of its three coefficients. The arrays are the caller's.
+struct PathBounds {
+    Integers interval;   // (P,)
+    Matrix weights;      // (P, 3) of c in b
+    Vector b_max;        // (P,) 0 where another point bounds b
+    Integers force_end;  // (P,) behind the last of its force bounds
+    // F force bounds: low <= force_weights . c + damping w <= high.
+    Matrix force_weights;  // (F, 3)
+    Vector damping;
+    Vector low;
+    Vector high;
+    Integers jerk_end;  // (P,) behind the last of its jerk bounds
+    // J jerk bounds: |jerk_weights . c| w <= j_max.
+    Matrix jerk_weights;  // (J, 3)
+    Vector j_max;
+};
+
 // The problem for `minimize_with_barriers`: time plus barrier.
 class PathTiming {
 public:
-    // Of bounds at P points, each of which lies in an interval; the weights are those of its three coefficients.
-    PathTiming(const Arguments& given, double interval_length, size_t coefficients) : given_(given), h_(interval_length) {
+    PathTiming(const PathBounds& bounds, double interval_length, size_t coefficients) : bounds_(bounds), h_(interval_length) {
         if (coefficients < 3) { throw InputError("coefficients: need at least 3, of one interval"); }
         intervals_ = coefficients - 2;
-        for (size_t p = 0; p < P_; ++p) {
-            checked_index(interval_[p], intervals_, "interval");
-            checked_index(force_end_[p], F_ + 1, "force_end");
-            checked_index(jerk_end_[p], J_ + 1, "jerk_end");
+        for (size_t p = 0; p < bounds_.interval.size(); ++p) {
+            checked_index(bounds_.interval[p], intervals_, "interval");
+            checked_index(bounds_.force_end[p], bounds_.damping.size() + 1, "force_end");
+            checked_index(bounds_.jerk_end[p], bounds_.j_max.size() + 1, "jerk_end");
         }
     }
 
@@ -60,7 +75,7 @@ public:
     // constant speed.
     bool solve(bool from_near, Result c) const {
         double smallest_bound = INFINITE;
-        for (const double b_max : b_max_) {
+        for (const double b_max : bounds_.b_max) {
             if (b_max > 0) { smallest_bound = std::min(smallest_bound, b_max); }
         }
         for (double& value : c) { value = from_near ? start_near * value : start_constant * smallest_bound; }
@@ -120,46 +135,32 @@ private:
     bool visit_bounds(Vector c, const Visit& visit) const {
         size_t force = 0;
         size_t jerk = 0;
-        for (size_t p = 0; p < P_; ++p) {
-            const auto m = static_cast<size_t>(interval_[p]);
+        for (size_t p = 0; p < bounds_.interval.size(); ++p) {
+            const auto m = static_cast<size_t>(bounds_.interval[p]);
             const Vec3 three = coefficients_of(c, m);
-            const Vec3 x = vec3(weights_.row(p));
+            const Vec3 x = vec3(bounds_.weights.row(p));
             const double b = dot(x, three);
             const double w = std::sqrt(b);
-            if (b_max_[p] > 0 && !visit(m, b_max_[p] - b, -x)) { return false; }
-            for (; force < static_cast<size_t>(force_end_[p]); ++force) {
-                const Vec3 weights = vec3(force_weights_.row(force));
-                const double y = dot(weights, three) + damping_[force] * w;
-                const Vec3 slope = weights + 0.5 * damping_[force] / w * x;
-                if (!visit(m, high_[force] - y, -slope) || !visit(m, y - low_[force], slope)) { return false; }
+            if (bounds_.b_max[p] > 0 && !visit(m, bounds_.b_max[p] - b, -x)) { return false; }
+            for (; force < static_cast<size_t>(bounds_.force_end[p]); ++force) {
+                const Vec3 weights = vec3(bounds_.force_weights.row(force));
+                const double y = dot(weights, three) + bounds_.damping[force] * w;
+                const Vec3 slope = weights + 0.5 * bounds_.damping[force] / w * x;
+                if (!visit(m, bounds_.high[force] - y, -slope) || !visit(m, y - bounds_.low[force], slope)) { return false; }
             }
-            for (; jerk < static_cast<size_t>(jerk_end_[p]); ++jerk) {
-                const Vec3 weights = vec3(jerk_weights_.row(jerk));
-                const double y = dot(weights, three) * w / j_max_[jerk];
-                const Vec3 slope = w / j_max_[jerk] * weights + 0.5 * y / b * x;
+            for (; jerk < static_cast<size_t>(bounds_.jerk_end[p]); ++jerk) {
+                const Vec3 weights = vec3(bounds_.jerk_weights.row(jerk));
+                const double y = dot(weights, three) * w / bounds_.j_max[jerk];
+                const Vec3 slope = w / bounds_.j_max[jerk] * weights + 0.5 * y / b * x;
                 if (!visit(m, 1.0 - y, -slope) || !visit(m, 1.0 + y, slope)) { return false; }
             }
         }
         return true;
     }
 
-    const Arguments& given_;
+    PathBounds bounds_;
     double h_;
     size_t intervals_;
-    size_t P_ = given_.length("interval");
-    Integers interval_ = given_.integers(P_, "interval");
-    Matrix weights_ = given_.matrix(P_, 3, "weights");       // of c in b
-    Vector b_max_ = given_.vector(P_, "b_max");              // 0 where another point bounds b
-    Integers force_end_ = given_.integers(P_, "force_end");  // behind the last of its force bounds
-    size_t F_ = given_.length("damping");                    // low <= weights . c + damping w <= high
-    Matrix force_weights_ = given_.matrix(F_, 3, "force_weights");
-    Vector damping_ = given_.vector(F_, "damping");
-    Vector low_ = given_.vector(F_, "low");
-    Vector high_ = given_.vector(F_, "high");
-    Integers jerk_end_ = given_.integers(P_, "jerk_end");  // behind the last of its jerk bounds
-    size_t J_ = given_.length("j_max");                    // |weights . c| w <= j_max
-    Matrix jerk_weights_ = given_.matrix(J_, 3, "jerk_weights");
-    Vector j_max_ = given_.vector(J_, "j_max");
 };
 
 }  // namespace armctl

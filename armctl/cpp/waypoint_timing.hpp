@@ -18,7 +18,7 @@
 #include <array>
 #include <cmath>
 
-#include "arguments.hpp"
+#include "errors.hpp"
 #include "interior_point.hpp"
 
 namespace armctl {
@@ -162,17 +162,23 @@ inline Displacement farthest_displacement(double time, EndState start, EndState 
     return displacement(q, by_time, rise, middle, last_rise, time - middle);
 }
 
+// K waypoints of n joints; the arrays are the caller's.
+struct WaypointBounds {
+    Matrix q;      // (K, n)
+    Vector v_max;  // (n,) the limits of the joints
+    Vector a_max;
+    Vector j_max;
+    Matrix v_bound;  // (K, n) the greatest velocity at each waypoint; 0 holds it at 0
+    Matrix a_bound;  // (K, n) and acceleration
+};
+
 // The problem for `minimize_with_barriers`: time plus barrier.
 //
 // The unknowns x go from waypoint to waypoint: velocity and acceleration of each joint, then the time of the section behind it.
 class WaypointTiming {
 public:
-    // Of waypoints q (K, n), the limits of the n joints, and the greatest velocity and acceleration of each joint at each waypoint,
-    // (K, n): 0 holds it at 0.
-    WaypointTiming(const Arguments& given, bool from_near)
-        : from_near_(from_near), K_(given.length("q")), n_(given.length("v_max")), q_(given.matrix(K_, n_, "q")),
-          v_max_(given.vector(n_, "v_max")), a_max_(given.vector(n_, "a_max")), j_max_(given.vector(n_, "j_max")),
-          v_bound_(given.matrix(K_, n_, "v_bound")), a_bound_(given.matrix(K_, n_, "a_bound")) {
+    WaypointTiming(const WaypointBounds& bounds, bool from_near)
+        : from_near_(from_near), K_(bounds.q.rows), n_(bounds.q.columns), bounds_(bounds) {
         if (K_ < 2) { throw InputError("q: need at least 2 waypoints"); }
     }
 
@@ -204,8 +210,8 @@ public:
         for (size_t row = 0; row < hessian.size(); ++row) { hessian.at(row, 0) *= 1.0 + ridge; }
         for (size_t k = 0; k < K_; ++k) {
             for (size_t i = 0; i < n_; ++i) {
-                if (v_bound_(k, i) == 0.0) { hessian.at(velocity_row(k, i), 0) = INFINITE; }
-                if (a_bound_(k, i) == 0.0) { hessian.at(velocity_row(k, i) + 1, 0) = INFINITE; }
+                if (bounds_.v_bound(k, i) == 0.0) { hessian.at(velocity_row(k, i), 0) = INFINITE; }
+                if (bounds_.a_bound(k, i) == 0.0) { hessian.at(velocity_row(k, i) + 1, 0) = INFINITE; }
             }
         }
     }
@@ -260,17 +266,17 @@ private:
     // The bounds on velocity and acceleration at a waypoint.
     template <class Visit>
     bool visit_waypoint(Vector x, size_t waypoint, size_t joint, double sign, const Visit& visit) const {
-        const double v_bound = v_bound_(waypoint, joint);
-        const double a_bound = a_bound_(waypoint, joint);
+        const double v_bound = bounds_.v_bound(waypoint, joint);
+        const double a_bound = bounds_.a_bound(waypoint, joint);
         const size_t v_row = velocity_row(waypoint, joint);
         const size_t a_row = v_row + 1;
         const double a = x[a_row];
         if (v_bound > 0.0 && !visit(v_bound - sign * x[v_row], std::array{Dependence{v_row, -sign}})) { return false; }
         if (a_bound > 0.0 && !visit(a_bound - sign * a, std::array{Dependence{a_row, -sign}})) { return false; }
         // The velocity that is reached while the acceleration goes to zero.
-        const double peak = sign * x[v_row] + a * a / (2 * j_max_[joint]);
-        const double decline = 1.0 / j_max_[joint];
-        return visit(v_max_[joint] - peak, std::array{Dependence{v_row, -sign}, Dependence{a_row, -a * decline, decline}});
+        const double peak = sign * x[v_row] + a * a / (2 * bounds_.j_max[joint]);
+        const double decline = 1.0 / bounds_.j_max[joint];
+        return visit(bounds_.v_max[joint] - peak, std::array{Dependence{v_row, -sign}, Dependence{a_row, -a * decline, decline}});
     }
 
     // How much further a joint could go in a section, forwards (sign 1) or backwards (-1).
@@ -280,8 +286,8 @@ private:
         const size_t time = time_row(section);
         const size_t end = velocity_row(section + 1, joint);
         const Displacement most = farthest_displacement(x[time], {sign * x[start], sign * x[start + 1]}, {sign * x[end], sign * x[end + 1]},
-                                                        {v_max_[joint], a_max_[joint], j_max_[joint]});
-        const double way = sign * (q_(section + 1, joint) - q_(section, joint));
+                                                        {bounds_.v_max[joint], bounds_.a_max[joint], bounds_.j_max[joint]});
+        const double way = sign * (bounds_.q(section + 1, joint) - bounds_.q(section, joint));
         const std::array unknowns = {Dependence{start, sign * most.by_start.v}, Dependence{start + 1, sign * most.by_start.a},
                                      Dependence{time, most.by_time}, Dependence{end, sign * most.by_end.v},
                                      Dependence{end + 1, sign * most.by_end.a}};
@@ -291,12 +297,7 @@ private:
     bool from_near_;
     size_t K_;
     size_t n_;
-    Matrix q_;
-    Vector v_max_;
-    Vector a_max_;
-    Vector j_max_;
-    Matrix v_bound_;
-    Matrix a_bound_;
+    WaypointBounds bounds_;
 };
 
 }  // namespace armctl

@@ -26,7 +26,7 @@ Number converted(Number result, const char* name, const char* needed) {
 
 }  // namespace
 
-bool Arguments::has(const char* name) const { return find(*given_, name).is_valid() && !find(*given_, name).is_none(); }
+bool Arguments::is_there(const char* name) const { return find(*given_, name).is_valid() && !find(*given_, name).is_none(); }
 
 double Arguments::number(const char* name) const { return converted(PyFloat_AsDouble(value(*given_, name)), name, "a number"); }
 
@@ -34,9 +34,25 @@ std::int64_t Arguments::integer(const char* name) const {
     return converted<std::int64_t>(PyLong_AsLongLong(value(*given_, name)), name, "an integer");
 }
 
-size_t Arguments::length(const char* name) const {
-    const Py_ssize_t length = PyObject_Length(value(*given_, name));
-    return static_cast<size_t>(converted(length, name, "an array with at least one dimension"));
+size_t Arguments::length(const char* name, int axis) const {
+    if (axis == 0) {
+        const Py_ssize_t length = PyObject_Length(value(*given_, name));
+        return static_cast<size_t>(converted(length, name, "an array with at least one dimension"));
+    }
+    In array;
+    array.acquire(value(*given_, name));
+    return array.length(name, axis);
+}
+
+DenseMatrix Arguments::matrix(const char* name) const {
+    In array;
+    array.acquire(value(*given_, name));
+    const bool is_stack = array.dimensions() == 3;
+    const size_t first = array.length(name);
+    const size_t second = array.length(name, 1);
+    DenseMatrix matrix(is_stack ? first * second : first, is_stack ? array.length(name, 2) : second);
+    copy(is_stack ? array.shaped({first, second, matrix.columns()}, name) : array.shaped({first, second}, name), matrix.numbers());
+    return matrix;
 }
 
 template <class Number>

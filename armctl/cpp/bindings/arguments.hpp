@@ -6,11 +6,61 @@
 #include <string>
 #include <string_view>
 
-#include "../arguments.hpp"
+#include "../linear_algebra.hpp"
 #include "../motors.hpp"
 #include "arrays.hpp"
 
 namespace armctl {
+
+// Keyword arguments by name. All functions throw InputError with the name if there is no such value, or if it is not what is asked for.
+// The keyword arguments have to exist as long as this object and the arrays from it.
+class Arguments {
+public:
+    explicit Arguments(const nanobind::kwargs& given) : given_(&given) {}
+
+    // Whether there is such a value, and not None. The further ones come with it.
+    template <class... Names>
+    bool has(const char* name, Names...) const {
+        return is_there(name);
+    }
+
+    double number(const char* name) const;
+    std::int64_t integer(const char* name) const;
+
+    // An array of a shape, as its numbers: double or std::int64_t, const where they are only read.
+    template <class Number>
+    std::span<Number> array(std::initializer_list<size_t> shape, const char* name) const;
+
+    // A dimension of an array.
+    size_t length(const char* name, int axis = 0) const;
+
+    bool flag(const char* name) const { return number(name) != 0.0; }
+    size_t count(const char* name) const { return static_cast<size_t>(integer(name)); }
+    Vector shaped(std::initializer_list<size_t> shape, const char* name) const { return array<const double>(shape, name); }
+    Result writable(std::initializer_list<size_t> shape, const char* name) const { return array<double>(shape, name); }
+    Integers integers(size_t size, const char* name) const { return array<const std::int64_t>({size}, name); }
+    Vector vector(size_t size, const char* name) const { return shaped({size}, name); }
+    Matrix matrix(size_t rows, size_t columns, const char* name) const { return {shaped({rows, columns}, name).data(), rows, columns}; }
+    MatrixResult writable_matrix(size_t rows, size_t columns, const char* name) const {
+        return {writable({rows, columns}, name).data(), rows, columns};
+    }
+
+    // A copy of a vector of any length, such as a gain for each joint.
+    Numbers numbers(const char* name) const {
+        const Vector values = vector(length(name), name);
+        return {values.begin(), values.end()};
+    }
+
+    Integers integers(const char* name) const { return integers(length(name), name); }
+
+    // A copy of an array of any length and of two dimensions, or of three, of which the first two become rows.
+    DenseMatrix matrix(const char* name) const;
+
+private:
+    bool is_there(const char* name) const;
+
+    const nanobind::kwargs* given_;
+};
 
 // What a reader asks `Arguments` for, as the text of a Python signature. It has the same functions, which note a name with its type
 // and return zeros.
@@ -22,16 +72,20 @@ namespace armctl {
 // so that the arguments of Python are written once, and a type checker knows them.
 class Signature {
 public:
-    // Notes that the argument may be missing or None.
-    bool has(const char* name) { return parameter(name).is_optional = true; }
+    // Notes that the arguments may be missing or None.
+    template <class... Names>
+    bool has(Names... names) {
+        return ((parameter(names).is_optional = true) && ...);
+    }
 
     double number(const char* name) { return note(name, "float"), 0.0; }
     std::int64_t integer(const char* name) { return note(name, "int"), 0; }
     bool flag(const char* name) { return note(name, "bool"), false; }
     size_t count(const char* name) { return note(name, "int"), 0; }
-    size_t length(const char* name) { return note(name, array_type), 0; }
+    size_t length(const char* name, int = 0) { return note(name, array_type), 0; }
     Numbers numbers(const char* name) { return note(name, array_type), Numbers(); }
     Integers integers(const char* name) { return note(name, array_type), Integers(); }
+    DenseMatrix matrix(const char* name) { return note(name, array_type), DenseMatrix(); }
 
     template <class Number>
     std::span<Number> array(std::initializer_list<size_t> shape, const char* name) {
@@ -78,10 +132,10 @@ private:
 
 // The signature of a function in Python whose keyword arguments a reader reads; `begin` is what comes before them.
 template <class Reader>
-std::string signature(const char* begin, const Reader& read) {
+std::string signature(const char* begin, const Reader& read, const char* returned = "None") {
     Signature asked;
     read(asked);
-    return std::string("def ") + begin + ", *" + asked.text() + ") -> None";
+    return std::string("def ") + begin + ", *" + asked.text() + ") -> " + returned;
 }
 
 // Binds a constructor whose keyword arguments a reader reads. `make(self, positional..., read arguments)` makes the object at `self`;

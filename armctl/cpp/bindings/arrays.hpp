@@ -62,6 +62,8 @@ public:
         return {shaped({rows, columns}, name).data(), rows, columns};
     }
 
+    int dimensions() const { return view_.ndim; }
+
     // A dimension, where any is right: `x.matrix(x.length("x"), 3, "x")`.
     size_t length(const char* name, int axis = 0) const {
         require_type(name);

@@ -19,6 +19,101 @@ namespace {
 
 using Release = nb::call_guard<nb::gil_scoped_release>;
 
+std::vector<size_t> indices(Integers numbers) { return {numbers.begin(), numbers.end()}; }
+
+// Of each of the m joints that move: `axes` and `anchors` (m, 3), `slides`, `references`, `parents`, and `joints`, its row of `ratio`.
+template <class Given>
+std::vector<MovingFrame> moving_frames(Given& given, size_t m) {
+    const Matrix axes = given.matrix(m, 3, "axes");
+    const Matrix anchors = given.matrix(m, 3, "anchors");
+    const Integers slides = given.integers(m, "slides");
+    const Vector references = given.vector(m, "references");
+    const Integers parents = given.integers(m, "parents");
+    const Integers joints = given.integers(m, "joints");
+    std::vector<MovingFrame> frames;
+    for (size_t i = 0; i < m; ++i) {
+        frames.push_back({
+            .axis = vec3(axes.row(i)),
+            .anchor = vec3(anchors.row(i)),
+            .slides = slides[i] != 0,
+            .reference = references[i],
+            .parent = static_cast<size_t>(parents[i]),
+            .joint = static_cast<size_t>(joints[i]),
+        });
+    }
+    return frames;
+}
+
+// The vertices of geom g are those from `first_vertex` (G + 1,) on to that of the next one.
+template <class Given>
+std::vector<Geom> geoms_of(Given& given) {
+    const Integers kinds = given.integers("kinds");
+    const size_t G = kinds.size();
+    const Integers frames = given.integers(G, "frames");
+    const Vector inflations = given.vector(G, "inflations");
+    const Matrix positions = given.matrix(G, 3, "positions");
+    const Vector rotations = given.shaped({G, 3, 3}, "rotations");
+    const Matrix sizes = given.matrix(G, 3, "sizes");
+    const Matrix centers = given.matrix(G, 3, "centers");
+    const Vector radii = given.vector(G, "radii");
+    const Integers starts = given.integers(G + 1, "first_vertex");
+    std::vector<Geom> geoms;
+    for (size_t g = 0; g < G; ++g) {
+        geoms.push_back({
+            .kind = static_cast<ShapeKind>(checked_index(kinds[g], 5, "kinds")),
+            .frame = static_cast<size_t>(frames[g]),
+            .inflation = inflations[g],
+            .position = vec3(positions.row(g)),
+            .axes = Rotation::from_rows(rotations.subspan(9 * g, 9)),
+            .size = vec3(sizes.row(g)),
+            .center = vec3(centers.row(g)),
+            .radius = radii[g],
+            .first_vertex = static_cast<size_t>(starts[g]),
+            .last_vertex = static_cast<size_t>(starts[g + 1]),
+        });
+    }
+    return geoms;
+}
+
+// A point of each row (k, 3).
+template <class Given>
+std::vector<Vec3> points(Given& given, const char* name) {
+    const Matrix rows = given.matrix(given.length(name), 3, name);
+    std::vector<Vec3> points;
+    for (size_t i = 0; i < rows.rows; ++i) { points.push_back(vec3(rows.row(i))); }
+    return points;
+}
+
+template <class Given>
+std::vector<CollisionPair> pairs_of(Given& given) {
+    const Integers first_geoms = given.integers("first_geoms");
+    const Integers second_geoms = given.integers(first_geoms.size(), "second_geoms");
+    const Vector margins = given.vector(first_geoms.size(), "margins");
+    std::vector<CollisionPair> pairs;
+    for (size_t p = 0; p < margins.size(); ++p) {
+        pairs.push_back({.a = static_cast<size_t>(first_geoms[p]), .b = static_cast<size_t>(second_geoms[p]), .margin = margins[p]});
+    }
+    return pairs;
+}
+
+// Besides: `vertices` (P, 3), and of large hulls the `neighbors` that share an edge with each, from `first_neighbor` (P + 1,) on.
+template <class Given>
+CollisionDescription collision_description(Given& given) {
+    const size_t m = given.length("references");
+    const size_t n = given.count("n");
+    CollisionDescription model{
+        .ratio = {m, n},
+        .joint_offset = given.numbers("joint_offset"),
+        .joints = moving_frames(given, m),
+        .vertices = {points(given, "vertices"), indices(given.integers("first_neighbor")), indices(given.integers("neighbors"))},
+        .geoms = geoms_of(given),
+        .pairs = pairs_of(given),
+        .directions = points(given, "directions"),
+    };
+    model.ratio.set(given.matrix(m, n, "ratio"));
+    return model;
+}
+
 // The positions of all joints at q (n,); the memory is the thread's.
 Vector all_positions(const CollisionScene& scene, const In& q) {
     thread_local std::vector<double> positions;
@@ -43,10 +138,12 @@ void bind_scene(nb::module_& module) {
         .value("CYLINDER", ShapeKind::cylinder)
         .value("ELLIPSOID", ShapeKind::ellipsoid)
         .value("PLANE", ShapeKind::plane);
-    nb::class_<CollisionModel>(module, "CollisionModel",
-                               "What an arm could touch: shapes, the joints that move them, and pairs. Immutable.")
-        .def(nb::new_([](const nb::kwargs& arguments) { return std::make_shared<CollisionModel>(Arguments(arguments)); }), "arguments"_a,
-             "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.");
+    nb::class_<CollisionModel> bound(module, "CollisionModel",
+                                     "What an arm could touch: shapes, the joints that move them, and pairs. Immutable.");
+    const auto make = [](CollisionModel* self, CollisionDescription description) { new (self) CollisionModel(std::move(description)); };
+    bind_constructor<>(
+        bound, "__init__(self", [](auto& given) { return collision_description(given); }, make,
+        "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.");
     nb::class_<PairDistance>(module, "PairDistance", "A pair and its distance.")
         .def_ro("pair", &PairDistance::pair, "Its row, or the number of pairs where there is none.")
         .def_ro("distance", &PairDistance::distance, "m");

@@ -16,11 +16,88 @@ namespace armctl {
 
 namespace {
 
+Polynomial polynomial(Vector terms) { return {terms[0], terms[1], terms[2]}; }
+
+// Of each of the m joints: `rotations` (m, 3, 3) and `translations` (m, 3) in the parent's frame at position zero, `slides`,
+// `parents` (-1 for the base), `masses`, `centers` (m, 3) of mass, `inertias` (m, 6) xx yy zz xy xz yz about the center of mass,
+// `lifted_masses` and `lifted_moments` (m, 3) of what gravity compensation lifts, `stiffness` (m, 3) and `spring_rest` of a
+// spring; `ratio` (m, n) and `offsets`.
+template <class Given>
+std::vector<Joint> joints_of(Given& given, size_t m) {
+    const Vector rotations = given.shaped({m, 3, 3}, "rotations");
+    const Matrix translations = given.matrix(m, 3, "translations");
+    const Integers slides = given.integers(m, "slides");
+    const Integers parents = given.integers(m, "parents");
+    const Vector masses = given.vector(m, "masses");
+    const Matrix centers = given.matrix(m, 3, "centers");
+    const Matrix inertias = given.matrix(m, 6, "inertias");
+    const Vector lifted_masses = given.vector(m, "lifted_masses");
+    const Matrix lifted_moments = given.matrix(m, 3, "lifted_moments");
+    const Matrix stiffness = given.matrix(m, 3, "stiffness");
+    const Vector spring_rest = given.vector(m, "spring_rest");
+    const Vector offsets = given.vector(m, "offsets");
+    std::vector<Joint> joints;
+    for (size_t j = 0; j < m; ++j) {
+        const Vector inertia = inertias.row(j);
+        joints.push_back({
+            .rotation = Rotation::from_rows(rotations.subspan(9 * j, 9)),
+            .translation = vec3(translations.row(j)),
+            .slides = slides[j] != 0,
+            .parent =
+                static_cast<int>(std::clamp<std::int64_t>(parents[j], -2, static_cast<std::int64_t>(m))),  // one that fits into an int
+            .mass = masses[j],
+            .center = vec3(centers.row(j)),
+            .inertia = {inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5]},
+            .lifted_mass = lifted_masses[j],
+            .lifted_moment = vec3(lifted_moments.row(j)),
+            .stiffness = polynomial(stiffness.row(j)),
+            .spring_rest = spring_rest[j],
+            .offset = offsets[j],
+        });
+    }
+    return joints;
+}
+
+// Of each of the n that the motors drive: `armature`, `damping` (n, 3), `friction_loss`, `friction_gain`, `friction_rate`.
+template <class Given>
+std::vector<Drive> drives_of(Given& given, size_t n) {
+    const Vector armature = given.vector(n, "armature");
+    const Matrix damping = given.matrix(n, 3, "damping");
+    const Vector loss = given.vector(n, "friction_loss");
+    const Vector gain = given.vector(n, "friction_gain");
+    const Vector rate = given.vector(n, "friction_rate");
+    std::vector<Drive> drives;
+    for (size_t i = 0; i < n; ++i) {
+        drives.push_back({.armature = armature[i], .damping = polynomial(damping.row(i)), .friction = {loss[i], gain[i], rate[i]}});
+    }
+    return drives;
+}
+
+template <class Given>
+ArmDescription arm_description(Given& given) {
+    const size_t m = given.length("masses");
+    const size_t n = given.length("armature");
+    ArmDescription arm{
+        .joints = joints_of(given, m),
+        .drives = drives_of(given, n),
+        .ratio = {m, n},
+        .chain_length = given.count("chain_length"),
+        .gravity = vec3(given.vector(3, "gravity")),
+        .T_last_tip = {Rotation::from_rows(given.shaped({3, 3}, "tip_rotation")), vec3(given.vector(3, "tip_translation"))},
+        .implicit_damping = given.flag("implicit_damping"),
+        .implicit_coriolis = given.flag("implicit_coriolis"),
+    };
+    arm.ratio.set(given.matrix(m, n, "ratio"));
+    return arm;
+}
+
 void bind_model(nb::module_& module) {
-    nb::class_<ArmModel>(module, "ArmModel", "The model of an arm: a tree of links. Immutable.")
-        .def(nb::new_([](const nb::kwargs& given) { return std::make_shared<ArmModel>(Arguments(given)); }), "given"_a,
-             "A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains them.")
-        .def_prop_ro("n", &ArmModel::n, "The number of joints that the arm's motors drive.")
+    nb::class_<ArmModel> bound(module, "ArmModel", "The model of an arm: a tree of links. Immutable.");
+    const auto make = [](ArmModel* self, ArmDescription arm) { new (self) ArmModel(std::move(arm)); };
+    bind_constructor<>(
+        bound, "__init__(self", [](auto& given) { return arm_description(given); }, make,
+        "A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains them.");
+    bound.def_prop_ro("n", &ArmModel::n, "The number of joints that the arm's motors drive.")
         .def("for_period", &ArmModel::for_period, "dt"_a, "continuous"_a,
              "The model for a control period, s: one step of MuJoCo, or a continuous motion. dt = 0 is continuous time.");
 }

@@ -17,6 +17,44 @@ namespace {
 
 using Release = nb::call_guard<nb::gil_scoped_release>;
 
+template <class Given>
+AxesRelation relation_of(Given& given, const char* name) {
+    return static_cast<AxesRelation>(checked_index(given.integer(name), 2, name));
+}
+
+// Of each of the k joints and the tip `rotations` (k + 1, 3, 3) and `translations` (k + 1, 3) in the frame before; of each joint
+// `slides`, `unknowns` and `ratios`; of each of the n unknowns `low`, `high` and `period`. The rest is SpecialAxes.
+template <class Given>
+ChainDescription chain_description(Given& given) {
+    const size_t k = given.length("slides");
+    const size_t n = given.length("low");
+    ChainDescription chain{.reach = given.number("reach"), .joints = {}, .unknowns = {}, .tip = {}};
+    const Vector low = given.vector(n, "low");
+    const Vector high = given.vector(n, "high");
+    const Vector period = given.vector(n, "period");
+    for (size_t i = 0; i < n; ++i) { chain.unknowns.push_back(make_unknown({low[i], high[i]}, period[i])); }
+    const Integers slides = given.integers(k, "slides");
+    const Integers unknowns = given.integers(k, "unknowns");
+    const Vector ratios = given.vector(k, "ratios");
+    const Matrix rotations{given.shaped({k + 1, 3, 3}, "rotations").data(), k + 1, 9};
+    const Matrix translations = given.matrix(k + 1, 3, "translations");
+    const auto placement = [&](size_t j) { return Pose{Rotation::from_rows(rotations.row(j)), vec3(translations.row(j))}; };
+    for (size_t j = 0; j < k; ++j) { chain.joints.push_back({placement(j), slides[j] != 0, static_cast<size_t>(unknowns[j]), ratios[j]}); }
+    chain.tip = placement(k);
+    if (!given.has("relation", "first", "others", "pair_relation", "pair_first", "distances_to_points")) { return chain; }
+    const Integers others = given.integers(3, "others");
+    chain.special_axes = SpecialAxes{
+        .relation = relation_of(given, "relation"),
+        .first = given.count("first"),
+        .others = {static_cast<size_t>(others[0]), static_cast<size_t>(others[1]), static_cast<size_t>(others[2])},
+        .pair_relation = relation_of(given, "pair_relation"),
+        .pair_first = given.count("pair_first"),
+    };
+    const Vector distances = given.vector(k, "distances_to_points");
+    for (size_t j = 0; j < k; ++j) { chain.joints[j].distance_to_point = distances[j]; }
+    return chain;
+}
+
 // What a search for one target found, with the errors of its result in m and rad.
 struct IkAnswer : SearchOutcome {
     double position_error;
@@ -130,13 +168,15 @@ void bind_chain(nb::module_& module) {
         .def_ro("samples", &Solutions::samples, "Positions of the joint that is swept; 1 for six joints.")
         .def_ro("doubtful", &Solutions::doubtful, "Whether the closed form may have missed some.");
     module.attr("NO_BRANCH") = NO_BRANCH;
-    nb::class_<Chain>(module, "Chain",
-                      "The chain of an arm from its base to the tip, with k joints and n unknowns. Immutable.\n\n"
-                      "Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last "
-                      "arguments.")
-        .def(nb::new_([](const nb::kwargs& arguments) { return std::make_shared<Chain>(Arguments(arguments)); }), "arguments"_a,
-             "A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.")
-        .def("contains", &contains, "q"_a, "Whether q is a contiguous array of n float64 inside the bounds.")
+    nb::class_<Chain> chain(module, "Chain",
+                            "The chain of an arm from its base to the tip, with k joints and n unknowns. Immutable.\n\n"
+                            "Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last "
+                            "arguments.");
+    const auto make = [](Chain* self, ChainDescription description) { new (self) Chain(std::move(description)); };
+    bind_constructor<>(
+        chain, "__init__(self", [](auto& given) { return chain_description(given); }, make,
+        "A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.");
+    chain.def("contains", &contains, "q"_a, "Whether q is a contiguous array of n float64 inside the bounds.")
         .def("search_one", &search_one, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "last"_a,
              "seed"_a, "q"_a, Release(),
              "Searches from q, then from random starts, for a target (4, 3). Fills q (n,) with the best configuration met.")

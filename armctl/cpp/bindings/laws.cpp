@@ -77,13 +77,6 @@ void bind_law(nb::module_& module) {
         .def("clone", &Law::clone, "The same law and gains with memory of its own, at the start of a run.");
 }
 
-// The class of a law with a model, around another law, or of a function. Its keyword arguments have the names of its members.
-template <class ConcreteLaw, class Base = Law, class Of = Model>
-nb::class_<ConcreteLaw, Base> bind(nb::module_& module, const char* name, const char* doc, const char* of_name = "of") {
-    const auto make = [](const Of& of, const nb::kwargs& gains) { return new ConcreteLaw(of, Arguments(gains)); };
-    return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), nb::arg(of_name), "gains"_a);
-}
-
 template <class ConcreteLaw>
 nb::class_<ConcreteLaw, Law> law_class(nb::module_& module, const char* name, const char* doc) {
     return nb::class_<ConcreteLaw, Law>(module, name, doc);
@@ -161,21 +154,114 @@ void bind_c_function(nb::module_& module) {
     bind_constructor<std::uintptr_t>(bound, "__init__(self, address: int", read, make, "address"_a, "gains"_a);
 }
 
+template <class Given>
+EstimateGains estimate_gains(Given& given) {
+    return {
+        .position_weight = given.number("position_weight"),
+        .velocity_weight = given.number("velocity_weight"),
+        .dt = given.number("dt"),
+        .continuous = given.flag("continuous"),
+    };
+}
+
+template <class Given>
+ComputedTorqueGains computed_torque_gains(Given& given) {
+    return {
+        .stiffness = given.number("stiffness"),
+        .damping = given.number("damping"),
+        .added_damping = given.numbers("added_damping"),
+        .decay_rate = given.number("decay_rate"),
+        .textbook = given.flag("textbook"),
+        .torque_limit = given.numbers("torque_limit"),
+        .estimate = estimate_gains(given),
+    };
+}
+
+template <class Given>
+LQRGains lqr_gains(Given& given) {
+    return {
+        .nodes = given.matrix("nodes"),
+        .feedback = given.matrix("feedback"),
+        .torque_limit = given.numbers("torque_limit"),
+        .estimate = estimate_gains(given),
+    };
+}
+
+template <class Given>
+ComputedTorqueObserverGains observer_gains(Given& given) {
+    return {
+        .stiffness = given.number("stiffness"),
+        .damping = given.number("damping"),
+        .disturbance_weight = given.number("disturbance_weight"),
+        .torque_limit = given.numbers("torque_limit"),
+        .estimate = estimate_gains(given),
+    };
+}
+
+template <class Given>
+ComputedTorqueLearningGains learning_gains(Given& given) {
+    return {
+        .observer = observer_gains(given),
+        .filter_weight = given.number("filter_weight"),
+        .information_weight = given.number("information_weight"),
+        .forgetting = given.number("forgetting"),
+        .torque_precision = given.numbers("torque_precision"),
+        .prior_deviations = given.numbers("prior_deviations"),
+    };
+}
+
+template <class Given>
+ComputedTorqueQPGains qp_gains(Given& given) {
+    return {
+        .stiffness = given.number("stiffness"),
+        .damping = given.number("damping"),
+        .added_damping = given.numbers("added_damping"),
+        .decay_rate = given.number("decay_rate"),
+        .torque_limit = given.numbers("torque_limit"),
+        .q_min = given.numbers("q_min"),
+        .q_max = given.numbers("q_max"),
+        .v_max = given.numbers("v_max"),
+        .a_max = given.numbers("a_max"),
+        .length = given.number("length"),
+        .dt = given.number("dt"),
+        .continuous = given.flag("continuous"),
+    };
+}
+
+template <class Given>
+MPCGains mpc_gains(Given& given) {
+    const Integers blocks = given.integers("blocks");
+    return {
+        .limits = qp_gains(given),
+        .blocks = {blocks.begin(), blocks.end()},
+        .torque_rate = given.numbers("torque_rate"),
+    };
+}
+
 void bind_computed_torque(nb::module_& module) {
-    bind<ComputedTorque>(module, "ComputedTorque", "Computed torque; with weights of an estimate, at estimated positions and velocities.");
-    bind<LQR>(module, "LQR", "Linear quadratic regulator with integral action, at estimated positions and velocities.");
-    bind<ComputedTorqueObserver>(module, "ComputedTorqueObserver", "Computed torque with a disturbance observer that estimates velocities.")
-        .def_prop_ro("disturbance", &shared<ComputedTorqueObserver, &ComputedTorqueObserver::disturbance>,
-                     "The estimated disturbance, (n,) N m; a part of the memory.");
-    bind<ComputedTorqueLearning, ComputedTorqueObserver>(module, "ComputedTorqueLearning",
-                                                         "Computed torque with an observer, which learns payload, friction and delay.")
+    bind_law_of_arm<ComputedTorque>(module, "ComputedTorque",
+                                    "Computed torque; with weights of an estimate, at estimated positions and velocities.",
+                                    [](auto& given) { return computed_torque_gains(given); });
+    bind_law_of_arm<LQR>(module, "LQR", "Linear quadratic regulator with integral action, at estimated positions and velocities.",
+                         [](auto& given) { return lqr_gains(given); });
+    constexpr const char* disturbance = "The estimated disturbance, (n,) N m; a part of the memory.";
+    bind_law_of_arm<ComputedTorqueObserver>(module, "ComputedTorqueObserver",
+                                            "Computed torque with a disturbance observer that estimates velocities.",
+                                            [](auto& given) { return observer_gains(given); })
+        .def_prop_ro("disturbance", &shared<ComputedTorqueObserver, &ComputedTorqueObserver::disturbance>, disturbance);
+    bind_law_of_arm<ComputedTorqueLearning>(module, "ComputedTorqueLearning",
+                                            "Computed torque with an observer, which learns payload, friction and delay.",
+                                            [](auto& given) { return learning_gains(given); })
+        .def_prop_ro("disturbance", &shared<ComputedTorqueLearning, &ComputedTorqueLearning::disturbance>, disturbance)
         .def_prop_ro("estimate", &shared<ComputedTorqueLearning, &ComputedTorqueLearning::estimate>,
                      "The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.");
 }
 
 void bind_qp(nb::module_& module) {
-    bind<ComputedTorqueQP>(module, "ComputedTorqueQP", "Computed torque within limits of torque, velocity and position.");
-    bind<MPC, ComputedTorqueQP>(module, "MPC", "Model predictive control within limits of torque, velocity and position.")
+    bind_law_of_arm<ComputedTorqueQP>(module, "ComputedTorqueQP", "Computed torque within limits of torque, velocity and position.",
+                                      [](auto& given) { return qp_gains(given); });
+    bind_law_of_arm<MPC>(module, "MPC", "Model predictive control within limits of torque, velocity and position.",
+                         [](auto& given) { return mpc_gains(given); })
         .def_prop_ro("counts", &shared<MPC, &MPC::counts>,
                      "Ticks: all, those that needed a plan, and those without one; a part of the memory.");
     module.attr("UNBOUNDED") = unbounded;
@@ -197,18 +283,80 @@ void bind_qp(nb::module_& module) {
         "Minimizes x H x / 2 + f x subject to lower <= (x, M x) <= upper; whether there is a solution, which is written into x.");
 }
 
-void bind_task_space(nb::module_& module) {
-    bind<OperationalSpace>(module, "OperationalSpace", "Operational space control with a posture in the null space.");
-    bind<Impedance>(module, "Impedance", "Cartesian impedance control without inertia shaping.")
+void bind_operational_space(nb::module_& module) {
+    const auto read = [](auto& given) {
+        return OperationalSpaceGains{
+            .stiffness = given.number("stiffness"),
+            .damping = given.number("damping"),
+            .posture_stiffness = given.number("posture_stiffness"),
+            .posture_damping = given.number("posture_damping"),
+        };
+    };
+    bind_law_of_arm<OperationalSpace>(module, "OperationalSpace", "Operational space control with a posture in the null space.", read);
+}
+
+void bind_impedance(nb::module_& module) {
+    const auto read = [](auto& given) {
+        return ImpedanceGains{
+            .stiffness = given.numbers("stiffness"),
+            .max_error = given.numbers("max_error"),
+            .posture_stiffness = given.numbers("posture_stiffness"),
+            .damping_ratio = given.number("damping_ratio"),
+        };
+    };
+    bind_law_of_arm<Impedance>(module, "Impedance", "Cartesian impedance control without inertia shaping.", read)
         .def(
-            "set_stiffness", [](Impedance& self, const nb::kwargs& gains) { self.set_stiffness(Arguments(gains)); },
-            "Replaces the stiffness of the tip, (6,) N/m and N m/rad.");
-    bind<Admittance>(module, "Admittance", "Admittance control: a position loop follows a compliant reference.")
+            "set_stiffness",
+            [](Impedance& self, const In& stiffness) {
+                const Vector numbers = stiffness.vector(stiffness.length("stiffness"), "stiffness");
+                self.set_stiffness({numbers.begin(), numbers.end()});
+            },
+            "stiffness"_a, "Replaces the stiffness of the tip, (6,) N/m and N m/rad.");
+}
+
+void bind_admittance(nb::module_& module) {
+    const auto read = [](auto& given) {
+        return AdmittanceGains{
+            .mass = given.numbers("mass"),
+            .damping = given.numbers("damping"),
+            .stiffness = given.numbers("stiffness"),
+            .bandwidth = given.number("bandwidth"),
+            .dt = given.number("dt"),
+        };
+    };
+    bind_law_of_arm<Admittance>(module, "Admittance", "Admittance control: a position loop follows a compliant reference.", read)
         .def_prop_ro("offset", &shared<Admittance, &Admittance::offset>,
                      "The displacement of the reference, (6,) m and rad; a part of the memory.");
-    bind<HybridForce>(module, "HybridForce", "Hybrid force/motion control with contact transition.")
+}
+
+ForceAxes force_axes(Integers is_force, Vector targets) {
+    ForceAxes axes;
+    for (size_t k = 0; k < 6; ++k) {
+        axes.is_force[k] = is_force[k] != 0;
+        axes.targets[k] = targets[k];
+    }
+    return axes;
+}
+
+void bind_hybrid_force(nb::module_& module) {
+    const auto read = [](auto& given) {
+        return HybridForceGains{
+            .bandwidth = given.number("bandwidth"),
+            .damping_ratio = given.number("damping_ratio"),
+            .in_tip_frame = given.flag("in_tip_frame"),
+            .approach_speed = given.number("approach_speed"),
+            .contact_force = given.number("contact_force"),
+            .dt = given.number("dt"),
+            .axes = force_axes(given.integers(6, "is_force"), given.vector(6, "targets")),
+        };
+    };
+    bind_law_of_arm<HybridForce>(module, "HybridForce", "Hybrid force/motion control with contact transition.", read)
         .def(
-            "set_axes", [](HybridForce& self, const nb::kwargs& axes) { self.set_axes(Arguments(axes)); },
+            "set_axes",
+            [](HybridForce& self, const IntegersIn& is_force, const In& targets) {
+                self.set_axes(force_axes(is_force.vector(6, "is_force"), targets.vector(6, "targets")));
+            },
+            "is_force"_a, "targets"_a,
             "Replaces the force axes, `is_force` and `targets` (6,). One that comes back later begins with an approach.")
         .def_prop_ro("in_contact", &HybridForce::in_contact, "Whether every force axis with a target is in contact.");
 }
@@ -222,7 +370,10 @@ void bind_laws(nb::module_& module) {
     bind_c_function(module);
     bind_computed_torque(module);
     bind_qp(module);
-    bind_task_space(module);
+    bind_operational_space(module);
+    bind_impedance(module);
+    bind_admittance(module);
+    bind_hybrid_force(module);
 }
 
 }  // namespace armctl

@@ -4,22 +4,32 @@
 
 namespace armctl {
 
+struct AdmittanceGains {
+    Numbers mass;            // (6,) kg and kg m^2
+    Numbers damping;         // (6,) N s/m and N m s/rad
+    Numbers stiffness;       // (6,) N/m and N m/rad
+    double bandwidth = 0.0;  // rad/s, of the position loop
+    double dt = 0.0;         // s, the control period
+};
+
 // mass x_c'' + damping x_c' + stiffness x_c = wrench,    tip reference = reference + x_c
 //
 // Sources: Hogan, "Impedance control" (1985); Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control
 // (2009), 9.3.2. Arms of less than six joints yield in position only.
 class Admittance final : public Cloneable<Admittance> {
 public:
-    Admittance(const Model& model, const Arguments& gains)
-        : Cloneable(model->n(), size_t{3} * 6, true), mass_(gains.numbers(6, "mass")), damping_(gains.numbers(6, "damping")),
-          stiffness_(gains.numbers(6, "stiffness")), bandwidth_(gains.number("bandwidth")), dt_(gains.number("dt")),
-          task_(model, task_rows(model->n())) {}
+    Admittance(const Model& model, AdmittanceGains gains)
+        : Cloneable(model->n(), size_t{3} * 6, true), gains_(std::move(gains)), task_(model, task_rows(model->n())) {
+        require_size(gains_.mass, 6, "mass");
+        require_size(gains_.damping, 6, "damping");
+        require_size(gains_.stiffness, 6, "stiffness");
+    }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const Vector v_ref = setpoint.v_tick;
         yield(state.wrench);
         task_.measure(state.q, setpoint.q);
-        const double posture_bandwidth = 0.5 * bandwidth_;
+        const double posture_bandwidth = 0.5 * gains_.bandwidth;
         for (size_t i = 0; i < tau.size(); ++i) {
             posture_[i] = posture_bandwidth * posture_bandwidth * (setpoint.q[i] - state.q[i]);
             posture_[i] += 2.0 * posture_bandwidth * (v_ref[i] - state.v[i]);
@@ -30,7 +40,8 @@ public:
         for (size_t k = 0; k < motion_.size(); ++k) {
             // The acceleration of the offset is not fed forward: with a delay, a mass below the real one would bounce.
             const double error = task_.error[k] + offset()[k];
-            motion_[k] = bandwidth_ * bandwidth_ * error + 2.0 * bandwidth_ * task_.error_rate(k, v_ref, state.v, rate()[k]);
+            motion_[k] =
+                gains_.bandwidth * gains_.bandwidth * error + 2.0 * gains_.bandwidth * task_.error_rate(k, v_ref, state.v, rate()[k]);
         }
         task_.torque(state, setpoint.a_tick, motion_, posture_, v_offset_, v_offset_, tau);
         for (size_t i = 0; i < tau.size(); ++i) {
@@ -54,18 +65,14 @@ private:
             double& rate = this->rate()[k];
             double& offset = this->offset()[k];
             double& filtered = filtered_wrench()[k];
-            const double force = wrench[k] - damping_[k] * rate - stiffness_[k] * (offset + dt_ * rate);
-            rate += dt_ * force / (mass_[k] + dt_ * damping_[k] + dt_ * dt_ * stiffness_[k]);
-            offset += dt_ * rate;
-            filtered += low_pass_weight(wrench_filter, dt_) * (wrench[k] - filtered);
+            const double force = wrench[k] - gains_.damping[k] * rate - gains_.stiffness[k] * (offset + gains_.dt * rate);
+            rate += gains_.dt * force / (gains_.mass[k] + gains_.dt * gains_.damping[k] + gains_.dt * gains_.dt * gains_.stiffness[k]);
+            offset += gains_.dt * rate;
+            filtered += low_pass_weight(wrench_filter, gains_.dt) * (wrench[k] - filtered);
         }
     }
 
-    Numbers mass_;       // (6,) kg and kg m^2
-    Numbers damping_;    // (6,) N s/m and N m s/rad
-    Numbers stiffness_;  // (6,) N/m and N m/rad
-    double bandwidth_;   // rad/s, of the position loop
-    double dt_;
+    AdmittanceGains gains_;
     TaskSpace task_;
     Numbers motion_ = Numbers(task_.factors.rows());  // of the tip
     Numbers posture_ = zeros();                       // acceleration

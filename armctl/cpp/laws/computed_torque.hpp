@@ -2,9 +2,25 @@
 //
 // Source: Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2.
 #pragma once
-#include "estimated_motion.hpp"
+#include "../dynamics.hpp"
+#include "motion_estimate.hpp"
 
 namespace armctl {
+
+struct ComputedTorqueGains {
+    double stiffness = 0.0;   // 1/s^2
+    double damping = 0.0;     // 1/s
+    Numbers added_damping;    // (n,) N m s/rad
+    double decay_rate = 0.0;  // 1/s
+    bool textbook = false;
+    Numbers torque_limit;    // (n,) N m, of the motors
+    EstimateGains estimate;  // without a weight of the position, q and v are the measured ones
+
+    bool has_estimate() const { return estimate.position_weight > 0.0 && estimate.dt > 0.0; }
+
+    // Numbers of a law's memory.
+    size_t memory_size(size_t n) const { return has_estimate() ? MotionEstimate::memory_size(n) : 0; }
+};
 
 // tau = ID(q, v, a_ref + stiffness e + damping e_dot) + (D + added_damping) (e_dot + decay_rate e), at measured or estimated q, v
 //
@@ -15,62 +31,88 @@ namespace armctl {
 // at a measured velocity, which is late, large damping would be a large positive feedback. With the bandwidth w of the feedback as
 // decay_rate, no error decays more slowly than without the second term: M (s^2 + 2 z w s + w^2) + (D + added_damping) (s + w) has,
 // for any z, the slowest root of the first factor or a faster one, and for z = 1 the root -w.
-class ComputedTorque : public Cloneable<ComputedTorque, EstimatedMotion> {
+//
+// The formula in two steps, as a part of laws that replace the feedback or what follows.
+class InverseDynamicsControl {
 public:
-    // The gains are the members and those of EstimatedMotion; without a weight of the position, q and v are the measured ones.
-    ComputedTorque(const Model& model, const Arguments& gains, size_t further_memory = 0)
-        : Cloneable(model, gains, gains.number("position_weight") > 0.0 && gains.number("dt") > 0.0, further_memory),
-          added_damping_(gains.numbers(joints(), "added_damping")), decay_rate_(gains.number("decay_rate")),
-          textbook_(gains.flag("textbook")) {
-        for (size_t i = 0; i < joints(); ++i) { added_damping_[i] += model->drives[i].damping.linear; }
+    InverseDynamicsControl(const Model& model, ComputedTorqueGains gains)
+        : error(model->n()), error_rate(error), correction(error), added_torque(error), gains_(std::move(gains)), dynamics_(model),
+          acceleration_(error), further_acceleration_(error) {
+        require_size(gains_.torque_limit, model->n(), "torque_limit");
+        require_size(gains_.added_damping, model->n(), "added_damping");
+        for (size_t i = 0; i < model->n(); ++i) { gains_.added_damping[i] += model->drives[i].damping.linear; }
     }
 
-    void torque(const State& measured, const Setpoint& setpoint, Result tau) override {
+    const ComputedTorqueGains& gains() const { return gains_; }
+
+    // Finds the errors and the acceleration of the feedback. `memory` is that of the law. Returns the state that is fed back, which is
+    // valid until the next call.
+    State feed_back(const State& measured, const Setpoint& setpoint, Result memory) {
         State state = measured;
-        if (has_estimate_) {
-            estimate(measured);
-            state = {.q = position(), .v = velocity(), .wrench = {}};
+        if (gains_.has_estimate()) {
+            MotionEstimate estimate(memory, error.size());
+            estimate.update(measured, gains_.estimate);
+            state = {.q = estimate.position, .v = estimate.velocity, .wrench = {}};
         }
-        const Vector v_ref = textbook_ ? setpoint.v : setpoint.v_tick;
-        const Vector a_ref = textbook_ ? setpoint.a : setpoint.a_tick;
-        for (size_t i = 0; i < tau.size(); ++i) {
-            error_[i] = setpoint.q[i] - state.q[i];
-            error_rate_[i] = v_ref[i] - state.v[i];
+        const Vector v_ref = velocity(setpoint);
+        for (size_t i = 0; i < error.size(); ++i) {
+            error[i] = setpoint.q[i] - state.q[i];
+            error_rate[i] = v_ref[i] - state.v[i];
+            correction[i] = gains_.stiffness * error[i] + gains_.damping * error_rate[i];
         }
-        correct(setpoint.q);
+        return state;
+    }
+
+    // The torque (n,) N m at the state that `feed_back` returned, with the errors and the correction that are there now.
+    void torque(const State& state, const Setpoint& setpoint, Result memory, Result tau) {
+        const Vector v_ref = velocity(setpoint);
+        const Vector a_ref = gains_.textbook ? setpoint.a : setpoint.a_tick;
         for (size_t i = 0; i < tau.size(); ++i) {
-            acceleration_[i] = a_ref[i] + correction_[i];
-            added_torque_[i] = textbook_ ? 0.0 : added_damping_[i] * (error_rate_[i] + decay_rate_ * error_[i]);
+            acceleration_[i] = a_ref[i] + correction[i];
+            added_torque[i] = gains_.textbook ? 0.0 : gains_.added_damping[i] * (error_rate[i] + gains_.decay_rate * error[i]);
         }
         dynamics_.inverse_dynamics(state.q, state.v, acceleration_, tau);
-        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += added_torque_[i]; }
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += added_torque[i]; }
         dynamics_.add_friction(v_ref, a_ref, tau);
-        if (has_estimate_) { predict(tau); }
+        if (gains_.has_estimate()) { predict(tau, MotionEstimate(memory, error.size()).acceleration); }
     }
 
-protected:
-    // Finds the acceleration of the feedback.
-    virtual void correct([[maybe_unused]] Vector q_ref) {
-        for (size_t i = 0; i < joints(); ++i) { correction_[i] = stiffness_ * error_[i] + damping_ * error_rate_[i]; }
-    }
-
-    // Of the last tick.
-    Numbers error_ = zeros(), error_rate_ = zeros();
-    Numbers correction_ = zeros();    // the acceleration of the feedback
-    Numbers added_torque_ = zeros();  // of the second term, which inverse dynamics does not contain
+    // Of the last tick, (n,) each.
+    Numbers error;
+    Numbers error_rate;
+    Numbers correction;    // the acceleration of the feedback
+    Numbers added_torque;  // of the second term, which inverse dynamics does not contain
 
 private:
+    Vector velocity(const Setpoint& setpoint) const { return gains_.textbook ? setpoint.v : setpoint.v_tick; }
+
     // The acceleration of the coming period: the commanded one, and that of added torques and of what the motors cut off.
-    void predict(Vector tau) {
-        for (size_t i = 0; i < tau.size(); ++i) { further_acceleration_[i] = added_torque_[i] + clipped(tau[i], tau_max_[i]) - tau[i]; }
+    void predict(Vector tau, Result acceleration) {
+        for (size_t i = 0; i < tau.size(); ++i) {
+            further_acceleration_[i] = added_torque[i] + clipped(tau[i], gains_.torque_limit[i]) - tau[i];
+        }
         dynamics_.accelerate(further_acceleration_);
-        for (size_t i = 0; i < tau.size(); ++i) { acceleration()[i] = acceleration_[i] + further_acceleration_[i]; }
+        for (size_t i = 0; i < tau.size(); ++i) { acceleration[i] = acceleration_[i] + further_acceleration_[i]; }
     }
 
-    Numbers added_damping_;  // (n,) N m s/rad, with the linear damping of the joints
-    double decay_rate_;      // 1/s
-    bool textbook_;
-    Numbers acceleration_ = zeros(), further_acceleration_ = zeros();
+    ComputedTorqueGains gains_;  // `added_damping` with the linear damping of the joints
+    Dynamics dynamics_;
+
+    Numbers acceleration_, further_acceleration_;
+};
+
+class ComputedTorque final : public Cloneable<ComputedTorque> {
+public:
+    ComputedTorque(const Model& model, ComputedTorqueGains gains)
+        : Cloneable(model->n(), gains.memory_size(model->n())), control_(model, std::move(gains)) {}
+
+    void torque(const State& measured, const Setpoint& setpoint, Result tau) override {
+        const State state = control_.feed_back(measured, setpoint, memory());
+        control_.torque(state, setpoint, memory(), tau);
+    }
+
+private:
+    InverseDynamicsControl control_;
 };
 
 }  // namespace armctl

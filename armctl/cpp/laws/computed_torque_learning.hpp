@@ -52,6 +52,15 @@ inline void payload_regressor(Dynamics& dynamics, Vector q, Vector v, Vector a, 
     }
 }
 
+struct ComputedTorqueLearningGains {
+    ComputedTorqueObserverGains observer;
+    double filter_weight = 0.0;       // of each of two low-passes in one control period
+    double information_weight = 0.0;  // of one control period
+    double forgetting = 0.0;          // per control period
+    Numbers torque_precision;         // (n,) 1/(N m), reciprocal standard deviations of unexplained torques
+    Numbers prior_deviations;         // (p,) standard deviations of the unknowns before any motion
+};
+
 // tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta + friction sign(v_ref) + T tau_ref'
 //
 // A recursive Bayesian estimator finds p unknowns: the ten inertial parameters theta of a rigid body at the tip; the delay T of the
@@ -59,27 +68,36 @@ inline void payload_regressor(Dynamics& dynamics, Vector q, Vector v, Vector a, 
 // of each joint that the model does not contain, N m. tau_ref' is the rate of the torque that the reference needs.
 //
 // Source: Ljung, System Identification (1999), 11.2.
-class ComputedTorqueLearning final : public Cloneable<ComputedTorqueLearning, ComputedTorqueObserver> {
+class ComputedTorqueLearning final : public Cloneable<ComputedTorqueLearning> {
 public:
-    ComputedTorqueLearning(const Model& model, const Arguments& gains)
-        : Cloneable(model, gains, memory_size(model->n())), filter_weight_(gains.number("filter_weight")),
-          information_weight_(gains.number("information_weight")), forgetting_(gains.number("forgetting")),
-          torque_precision_(gains.numbers(joints(), "torque_precision")), prior_deviations_(gains.numbers(p_, "prior_deviations")) {}
-
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
-        Memory memory = memory_parts();
-        const bool is_first = !has_begun();
-        observe(state);
-        if (!is_first) { learn(memory); }
-        control(setpoint, tau);
-        find_rates(setpoint, is_first, memory);
-        feed_forward(setpoint.v_tick, memory);
-        for (size_t i = 0; i < joints(); ++i) { known_[i] += memory.fed_forward[i]; }
-        cancel(tau);
+    ComputedTorqueLearning(const Model& model, ComputedTorqueLearningGains gains)
+        : Cloneable(model->n(), DisturbanceObserver::memory_size(model->n()) + memory_size(model->n())),
+          observer_(model, std::move(gains.observer)), gains_(std::move(gains)) {
+        require_size(gains_.torque_precision, joints(), "torque_precision");
+        require_size(gains_.prior_deviations, p_, "prior_deviations");
     }
 
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        DisturbanceObserver::Memory observed(memory(), joints());
+        Memory memory = parts(observed);
+        const bool is_first = !observed.motion.has_begun();
+        observer_.observe(state, observed);
+        if (!is_first) { learn(memory, observed); }
+        observer_.control(setpoint, observed, tau);
+        find_rates(setpoint, is_first, memory);
+        feed_forward(setpoint.v_tick, memory);
+        for (size_t i = 0; i < joints(); ++i) { observer_.known[i] += memory.fed_forward[i]; }
+        observer_.cancel(observed, tau);
+    }
+
+    // The estimated disturbance, (n,) N m.
+    Result disturbance() { return DisturbanceObserver::Memory(memory(), joints()).disturbance; }
+
     // (p,): the ten parameters of the payload, the delay, s, and the dry friction of the joints, N m.
-    Result estimate() { return memory_parts().estimate; }
+    Result estimate() {
+        const DisturbanceObserver::Memory observed(memory(), joints());
+        return parts(observed).estimate;
+    }
 
 private:
     static constexpr size_t delay_unknown = body_parameters;
@@ -116,41 +134,43 @@ private:
         return p + (3 * n + p + 1) * (p + 1) + 3 * n + 1;
     }
 
-    Memory memory_parts() { return {.next = own_memory().data(), .n = joints(), .p = p_}; }
+    Memory parts(const DisturbanceObserver::Memory& observed) const { return {.next = observed.further.data(), .n = joints(), .p = p_}; }
 
     // Updates the estimate with the torque that the motors gave beyond the model's. The observer's estimate changes by the opposite
     // torque: the sum does not jump.
     //
     // Old information fades, faster if the estimate does not explain the torques (Fortescue, Kershenbaum, Ydstie, "Implementation
     // of self-tuning regulators with variable forgetting factors", 1981).
-    void learn(Memory& memory) {
+    void learn(Memory& memory, DisturbanceObserver::Memory& observed) {
         copy(memory.estimate, previous_estimate_);
-        const double misfit = filter(memory);
+        const double misfit = filter(memory, observed.last_torque);
         if (memory.reference_moved != 0.0) {
             const double mean_misfit = misfit / static_cast<double>(joints());
-            add_information(1.0 - forgetting_ * (1.0 + std::min(mean_misfit, max_misfit)), memory);
+            add_information(1.0 - gains_.forgetting * (1.0 + std::min(mean_misfit, max_misfit)), memory);
             factorize(factors_);
             copy(memory.information.row(p_).first(p_), memory.estimate);
             solve(factors_, memory.estimate);
-            for (size_t k = 0; k < p_; ++k) { memory.estimate[k] *= prior_deviations_[k]; }
+            for (size_t k = 0; k < p_; ++k) { memory.estimate[k] *= gains_.prior_deviations[k]; }
         }
         for (size_t i = 0; i < joints(); ++i) {
-            for (size_t k = 0; k < p_; ++k) { disturbance()[i] += memory.regressor(i, k) * (memory.estimate[k] - previous_estimate_[k]); }
+            for (size_t k = 0; k < p_; ++k) {
+                observed.disturbance[i] += memory.regressor(i, k) * (memory.estimate[k] - previous_estimate_[k]);
+            }
         }
     }
 
     // Filters regressor and torque, in units of prior and noise; the sum of the squares of what the estimate does not explain.
-    double filter(Memory& memory) {
+    double filter(Memory& memory, Vector last_torque) const {
         double misfit = 0.0;
         for (size_t i = 0; i < joints(); ++i) {
-            memory.regressor(i, p_) = last_torque()[i] + memory.fed_forward[i] - needed_[i];
+            memory.regressor(i, p_) = last_torque[i] + memory.fed_forward[i] - observer_.needed[i];
             double residual = 0.0;
             for (size_t k = p_ + 1; k-- > 0;) {
                 double& first = memory.filtered[0](i, k);
                 double& second = memory.filtered[1](i, k);
-                const double unit = k < p_ ? prior_deviations_[k] : 1.0;
-                first += filter_weight_ * (torque_precision_[i] * unit * memory.regressor(i, k) - first);
-                second += filter_weight_ * (first - second);
+                const double unit = k < p_ ? gains_.prior_deviations[k] : 1.0;
+                first += gains_.filter_weight * (gains_.torque_precision[i] * unit * memory.regressor(i, k) - first);
+                second += gains_.filter_weight * (first - second);
                 residual += k < p_ ? -second * memory.estimate[k] / unit : second;
             }
             misfit += residual * residual;
@@ -165,7 +185,7 @@ private:
             for (size_t j = 0; j <= k; ++j) {
                 double total = 0.0;
                 for (size_t i = 0; i < Y.rows; ++i) { total += Y(i, k) * Y(i, j); }
-                memory.information(k, j) = keep * memory.information(k, j) + information_weight_ * total;
+                memory.information(k, j) = keep * memory.information(k, j) + gains_.information_weight * total;
                 if (k < p_) { factors_(k, j) = memory.information(k, j); }
             }
         }
@@ -176,11 +196,11 @@ private:
     void find_rates(const Setpoint& setpoint, bool is_first, Memory& memory) {
         const Vector payload = memory.estimate.first(body_parameters);
         for (size_t i = 0; i < joints(); ++i) { rate_[i] = -dot(memory.regressor.row(i), payload, memory.needed[i]); }
-        payload_regressor(dynamics_, setpoint.q, setpoint.v_tick, setpoint.a_tick, memory.regressor);
-        dynamics_.inverse_dynamics(setpoint.q, setpoint.v_tick, setpoint.a_tick, memory.needed);
+        payload_regressor(observer_.dynamics, setpoint.q, setpoint.v_tick, setpoint.a_tick, memory.regressor);
+        observer_.dynamics.inverse_dynamics(setpoint.q, setpoint.v_tick, setpoint.a_tick, memory.needed);
         for (size_t i = 0; i < joints(); ++i) {
             rate_[i] += dot(memory.regressor.row(i), payload, memory.needed[i]);
-            rate_[i] = is_first || dt_ == 0.0 ? 0.0 : rate_[i] / dt_;
+            rate_[i] = is_first || dt() == 0.0 ? 0.0 : rate_[i] / dt();
         }
     }
 
@@ -192,8 +212,8 @@ private:
             Y(i, delay_unknown) = rate_[i];
             Y(i, first_friction_unknown + i) = v_ref[i] / (std::abs(v_ref[i]) + friction_speed);
             memory.fed_forward[i] = dot(Y.row(i), memory.estimate);
-            if (dt_ != 0.0) {  // what is fed forward against the delay is late, too
-                Y(i, delay_unknown) += memory.estimate[delay_unknown] * (rate_[i] - memory.last_rate[i]) / dt_;
+            if (dt() != 0.0) {  // what is fed forward against the delay is late, too
+                Y(i, delay_unknown) += memory.estimate[delay_unknown] * (rate_[i] - memory.last_rate[i]) / dt();
             }
             memory.last_rate[i] = rate_[i];
             moves = moves || v_ref[i] != 0.0;
@@ -201,12 +221,11 @@ private:
         memory.reference_moved = moves ? 1.0 : 0.0;
     }
 
+    double dt() const { return observer_.gains().estimate.dt; }
+
     size_t p_ = unknown_count(joints());
-    double filter_weight_;       // of each of two low-passes in one control period
-    double information_weight_;  // of one control period
-    double forgetting_;          // per control period
-    Numbers torque_precision_;   // (n,) 1/(N m), reciprocal standard deviations of unexplained torques
-    Numbers prior_deviations_;   // (p,) standard deviations of the unknowns before any motion
+    DisturbanceObserver observer_;
+    ComputedTorqueLearningGains gains_;
     DenseMatrix factors_{p_, p_};
     Numbers previous_estimate_ = Numbers(p_);
     Numbers rate_ = zeros();  // (n,) N m/s, of the torque that the reference needs

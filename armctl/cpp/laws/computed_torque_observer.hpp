@@ -1,88 +1,125 @@
 // Computed torque with a disturbance observer that estimates velocities.
 #pragma once
-#include "estimated_motion.hpp"
+#include "../dynamics.hpp"
+#include "motion_estimate.hpp"
 
 namespace armctl {
+
+struct ComputedTorqueObserverGains {
+    double stiffness = 0.0;           // 1/s^2
+    double damping = 0.0;             // 1/s
+    double disturbance_weight = 0.0;  // of the disturbance's low-pass in one control period
+    Numbers torque_limit;             // (n,) N m, of the motors
+    EstimateGains estimate;
+};
 
 // tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v)) - d at estimated q and v, with the estimated disturbance d.
 //
 // The model is that of the control period dt, and of continuous motion or of steps of MuJoCo.
-class ComputedTorqueObserver : public Cloneable<ComputedTorqueObserver, EstimatedMotion> {
+//
+// The steps of a tick, as a part of laws: `observe`, `control` and `cancel`, each with the memory of the law.
+class DisturbanceObserver {
 public:
-    // `own_memory` are further numbers for a derived law.
-    ComputedTorqueObserver(const Model& model, const Arguments& gains, size_t own_memory = 0)
-        : Cloneable(model, gains, true, 2 * model->n() + own_memory), disturbance_weight_(gains.number("disturbance_weight")) {}
+    // The memory of a law in its parts.
+    struct Memory {
+        Memory(Result memory, size_t n)
+            : motion(memory, n), disturbance(memory.subspan(MotionEstimate::memory_size(n), n)),
+              last_torque(memory.subspan(MotionEstimate::memory_size(n) + n, n)), further(memory.subspan(memory_size(n))) {}
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
-        observe(state);
-        control(setpoint, tau);
-        cancel(tau);
+        MotionEstimate motion;
+        Result disturbance;  // (n,) N m, estimated
+        Result last_torque;  // (n,) N m, of the observer's model
+        Result further;      // numbers of the law
+    };
+
+    static size_t memory_size(size_t n) { return MotionEstimate::memory_size(n) + 2 * n; }
+
+    DisturbanceObserver(const Model& model, ComputedTorqueObserverGains gains)
+        : dynamics(model), needed(model->n()), known(needed), gains_(std::move(gains)), last_position_(needed), last_velocity_(needed),
+          corrected_velocity_(needed), lost_(needed) {
+        require_size(gains_.torque_limit, model->n(), "torque_limit");
     }
 
-    // The estimated disturbance, (n,) N m.
-    Result disturbance() { return further_memory().first(joints()); }
-
-protected:
-    // The steps of a tick, in this order.
+    const ComputedTorqueObserverGains& gains() const { return gains_; }
 
     // Estimates position, velocity and disturbance, and finds the torque that the motion since the last tick needs.
-    void observe(const State& state) {
-        const bool is_first = !has_begun();
-        copy(position(), last_position_);
-        copy(velocity(), last_velocity_);
-        estimate(state);
+    void observe(const State& state, Memory& memory) {
+        MotionEstimate& motion = memory.motion;
+        const bool is_first = !motion.has_begun();
+        copy(motion.position, last_position_);
+        copy(motion.velocity, last_velocity_);
+        motion.update(state, gains_.estimate);
         if (is_first) { return; }
-        dynamics_.inverse_dynamics(last_position_, last_velocity_, acceleration(), needed_);
-        for (size_t i = 0; i < joints(); ++i) {
-            disturbance()[i] += disturbance_weight_ * (needed_[i] - last_torque()[i] - disturbance()[i]);
+        dynamics.inverse_dynamics(last_position_, last_velocity_, motion.acceleration, needed);
+        for (size_t i = 0; i < needed.size(); ++i) {
+            memory.disturbance[i] += gains_.disturbance_weight * (needed[i] - memory.last_torque[i] - memory.disturbance[i]);
         }
     }
 
     // The torque of model and feedback at the estimated motion. Dry friction becomes the known torque.
-    void control(const Setpoint& setpoint, Result tau) {
+    void control(const Setpoint& setpoint, Memory& memory, Result tau) {
+        const MotionEstimate& motion = memory.motion;
         const Vector v_ref = setpoint.v_tick;
         const Vector a_ref = setpoint.a_tick;
-        const double bandwidth = std::sqrt(stiffness_);
-        for (size_t i = 0; i < joints(); ++i) {
-            const double error = setpoint.q[i] - position()[i];
-            acceleration()[i] = a_ref[i] + stiffness_ * error + damping_ * (v_ref[i] - velocity()[i]);
-            corrected_velocity_[i] = v_ref[i] + bandwidth * error - velocity()[i];
-            known_[i] = 0.0;
+        const double bandwidth = std::sqrt(gains_.stiffness);
+        for (size_t i = 0; i < tau.size(); ++i) {
+            const double error = setpoint.q[i] - motion.position[i];
+            motion.acceleration[i] = a_ref[i] + gains_.stiffness * error + gains_.damping * (v_ref[i] - motion.velocity[i]);
+            corrected_velocity_[i] = v_ref[i] + bandwidth * error - motion.velocity[i];
+            known[i] = 0.0;
         }
-        dynamics_.inverse_dynamics(position(), velocity(), acceleration(), tau);
+        dynamics.inverse_dynamics(motion.position, motion.velocity, motion.acceleration, tau);
         // Damping is compensated at the velocity v_ref + bandwidth x error: the arm's own damping then helps the feedback, and the
         // error of a joint that hardly anything but damping resists decays as fast as those of the others. Compensated at the
         // estimated velocity, which is late, large damping would be a large positive feedback.
-        dynamics_.add_linear_damping(corrected_velocity_, tau);
-        dynamics_.add_friction(v_ref, a_ref, known_);
+        dynamics.add_linear_damping(corrected_velocity_, tau);
+        dynamics.add_friction(v_ref, a_ref, known);
     }
 
     // Subtracts the estimated disturbance from the torque, and adds what is known.
-    void cancel(Result tau) {
+    void cancel(Memory& memory, Result tau) {
         bool is_clipped = false;
-        for (size_t i = 0; i < joints(); ++i) {
-            tau[i] -= disturbance()[i];
-            last_torque()[i] = clipped(tau[i] + known_[i], tau_max_[i]) - known_[i];
-            lost_[i] = last_torque()[i] - tau[i];
-            tau[i] += known_[i];
-            is_clipped = is_clipped || std::abs(tau[i]) > tau_max_[i];
+        for (size_t i = 0; i < tau.size(); ++i) {
+            const double tau_max = gains_.torque_limit[i];
+            tau[i] -= memory.disturbance[i];
+            memory.last_torque[i] = clipped(tau[i] + known[i], tau_max) - known[i];
+            lost_[i] = memory.last_torque[i] - tau[i];
+            tau[i] += known[i];
+            is_clipped = is_clipped || std::abs(tau[i]) > tau_max;
         }
         if (!is_clipped) { return; }
         // What the motors cut off is no disturbance.
-        dynamics_.accelerate(lost_);
-        for (size_t i = 0; i < joints(); ++i) { acceleration()[i] += lost_[i]; }
+        dynamics.accelerate(lost_);
+        for (size_t i = 0; i < tau.size(); ++i) { memory.motion.acceleration[i] += lost_[i]; }
     }
 
-    Result last_torque() { return further_memory().subspan(joints(), joints()); }  // N m, of the observer's model
-    Result own_memory() { return further_memory().subspan(2 * joints()); }
-
-    Numbers needed_ = zeros();  // N m, that the model needs for the motion since the last tick
-    Numbers known_ = zeros();   // N m, that is known besides the observer's model, such as dry friction
+    Dynamics dynamics;
+    Numbers needed;  // N m, that the model needs for the motion since the last tick
+    Numbers known;   // N m, that is known besides the observer's model, such as dry friction
 
 private:
-    double disturbance_weight_;  // of the disturbance's low-pass in one control period
-    Numbers last_position_ = zeros(), last_velocity_ = zeros(), corrected_velocity_ = zeros();
-    Numbers lost_ = zeros();  // torque that the motors cut off
+    ComputedTorqueObserverGains gains_;
+    Numbers last_position_, last_velocity_, corrected_velocity_;
+    Numbers lost_;  // torque that the motors cut off
+};
+
+class ComputedTorqueObserver final : public Cloneable<ComputedTorqueObserver> {
+public:
+    ComputedTorqueObserver(const Model& model, ComputedTorqueObserverGains gains)
+        : Cloneable(model->n(), DisturbanceObserver::memory_size(model->n())), observer_(model, std::move(gains)) {}
+
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        DisturbanceObserver::Memory parts(memory(), joints());
+        observer_.observe(state, parts);
+        observer_.control(setpoint, parts, tau);
+        observer_.cancel(parts, tau);
+    }
+
+    // The estimated disturbance, (n,) N m.
+    Result disturbance() { return DisturbanceObserver::Memory(memory(), joints()).disturbance; }
+
+private:
+    DisturbanceObserver observer_;
 };
 
 }  // namespace armctl

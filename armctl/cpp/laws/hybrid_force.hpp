@@ -6,6 +6,21 @@
 
 namespace armctl {
 
+struct ForceAxes {
+    std::array<bool, 6> is_force{};  // x, y, z, rx, ry, rz
+    Vector6 targets{};               // N and N m
+};
+
+struct HybridForceGains {
+    double bandwidth = 0.0;       // rad/s, of the tip's error along motion axes
+    double damping_ratio = 0.0;   // 1 is critically damped
+    bool in_tip_frame = false;    // whether the axes turn with the tip
+    double approach_speed = 0.0;  // m/s; 0 for one that follows from target and effective mass
+    double contact_force = 0.0;   // N; 0 for one that follows from the target
+    double dt = 0.0;              // s, the control period
+    ForceAxes axes;
+};
+
 // tau = ID(q, v, a_ref + posture + J# a_task) + J^T (A^T f - w)
 //
 // Source: Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation"
@@ -14,25 +29,20 @@ namespace armctl {
 // compensated. Arms of less than six joints control the position of the tip, not its orientation.
 class HybridForce final : public Cloneable<HybridForce> {
 public:
-    HybridForce(const Model& model, const Arguments& gains)
-        : Cloneable(model->n(), 1 + 6 * ForceAxis::memory_size + 6 + model->n(), true), bandwidth_(gains.number("bandwidth")),
-          damping_ratio_(gains.number("damping_ratio")), in_tip_frame_(gains.flag("in_tip_frame")),
-          approach_speed_(gains.number("approach_speed")), contact_force_(gains.number("contact_force")), dt_(gains.number("dt")),
-          task_(model, task_rows(model->n())) {
-        set_axes(gains);
+    HybridForce(const Model& model, const HybridForceGains& gains)
+        : Cloneable(model->n(), 1 + 6 * ForceAxis::memory_size + 6 + model->n(), true), gains_(gains), task_(model, task_rows(model->n())) {
+        set_axes(gains.axes);
     }
 
-    // Replaces the force axes: `is_force` and `targets` (6,). A force axis that comes back later begins with an approach.
-    void set_axes(const Arguments& gains) {
-        const std::span<const std::int64_t> is_force = gains.integers(6, "is_force");
-        const Vector targets = gains.vector(6, "targets");
-        for (const double target : targets) {
+    // Replaces the force axes. One that comes back later begins with an approach.
+    void set_axes(const ForceAxes& axes) {
+        for (const double target : axes.targets) {
             if (!std::isfinite(target)) { throw InputError("target: need a finite number, got " + std::to_string(target)); }
         }
+        gains_.axes = axes;
         force_axes_.clear();
-        copy(targets, targets_);
         for (size_t k = 0; k < 6; ++k) {
-            if (is_force[k] != 0) {
+            if (axes.is_force[k]) {
                 force_axes_.push_back(k);
             } else {
                 std::ranges::fill(axis_memory(k), 0.0);
@@ -43,7 +53,7 @@ public:
     // Whether every force axis with a target is in contact.
     bool in_contact() {
         return std::ranges::all_of(force_axes_,
-                                   [this](size_t k) { return targets_[k] == 0.0 || ForceAxis(axis_memory(k)).touches != 0.0; });
+                                   [this](size_t k) { return gains_.axes.targets[k] == 0.0 || ForceAxis(axis_memory(k)).touches != 0.0; });
     }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
@@ -53,7 +63,7 @@ public:
         task_.measure(state.q, setpoint.q);
         find_directions();
         command_axes(state.wrench);
-        const double posture_bandwidth = 0.5 * bandwidth_;
+        const double posture_bandwidth = 0.5 * gains_.bandwidth;
         for (size_t i = 0; i < tau.size(); ++i) {
             posture_[i] = posture_bandwidth * posture_bandwidth * (setpoint.q[i] - state.q[i]);
             posture_[i] += 2.0 * posture_bandwidth * (v_ref[i] - velocity()[i]);
@@ -101,12 +111,12 @@ private:
     void filter_velocity(Vector v) {
         if (memory()[0] == 0.0) { copy(v, velocity()); }
         memory()[0] = 1.0;
-        for (size_t i = 0; i < v.size(); ++i) { velocity()[i] += low_pass_weight(velocity_filter, dt_) * (v[i] - velocity()[i]); }
+        for (size_t i = 0; i < v.size(); ++i) { velocity()[i] += low_pass_weight(velocity_filter, gains_.dt) * (v[i] - velocity()[i]); }
     }
 
     // The unit twists of the axes in the world, at the located joints.
     void find_directions() {
-        const Rotation R = in_tip_frame_ ? task_.dynamics.tip().rotation : Rotation();
+        const Rotation R = gains_.in_tip_frame ? task_.dynamics.tip().rotation : Rotation();
         for (size_t k = 0; k < 3; ++k) {
             const Vec3 axis = std::array{R.x, R.y, R.z}[k];
             directions_[k] = numbers({axis, {}});
@@ -141,21 +151,21 @@ private:
             for (size_t j = 0; j < unit.size(); ++j) { mass += unit[j] * task_.J(j, i) * rate; }
             dry_friction += std::abs(rate) * task_.dynamics.model().drives[i].friction.loss;
         }
-        const double target = std::abs(targets_[k]);
-        double approach_speed = approach_speed_;
+        const double target = std::abs(gains_.axes.targets[k]);
+        double approach_speed = gains_.approach_speed;
         if (approach_speed == 0.0) {
             // When the tip stops, the wall bears the force that moved the joints against their dry friction.
             const double impact = std::max(impact_ratio * target - dry_friction, min_impact_ratio * target);
             approach_speed = std::min(max_approach_speed, impact / (wall_damping_rate * mass));
         }
         return {
-            .target = targets_[k],
+            .target = gains_.axes.targets[k],
             .measured = -dot(directions_[k], wrench),  // the tip exerts the opposite of the wrench on it
             .speed = dot(directions_[k], twist),
             .mass = mass,
             .approach_speed = approach_speed,
-            .threshold = contact_force_ > 0.0 ? contact_force_ : contact_ratio * target,
-            .dt = dt_,
+            .threshold = gains_.contact_force > 0.0 ? gains_.contact_force : contact_ratio * target,
+            .dt = gains_.dt,
         };
     }
 
@@ -165,8 +175,8 @@ private:
         for (size_t k = 0; k < 6; ++k) {
             const double rate = task_.error_rate(k, v_ref, velocity());
             feedforward[k] = dot(task_.J.row(k), a_ref);
-            motion_[k] = bandwidth_ * bandwidth_ * task_.error[k] + 2.0 * damping_ratio_ * bandwidth_ * rate;
-            correction_[k] = 0.5 * bandwidth_ * task_.error[k];
+            motion_[k] = gains_.bandwidth * gains_.bandwidth * task_.error[k] + 2.0 * gains_.damping_ratio * gains_.bandwidth * rate;
+            correction_[k] = 0.5 * gains_.bandwidth * task_.error[k];
         }
         for (const size_t k : force_axes_) {  // they are orthogonal, so one after the other can be replaced
             const double missing = commands_[k].acceleration - dot(directions_[k], motion_) - dot(directions_[k], feedforward);
@@ -184,7 +194,7 @@ private:
         const bool in_contact = this->in_contact();
         Vector6 compensated{};
         for (size_t j = 0; j < 6; ++j) {
-            filtered[j] += low_pass_weight(wrench_filter, dt_) * (measured[j] - filtered[j]);
+            filtered[j] += low_pass_weight(wrench_filter, gains_.dt) * (measured[j] - filtered[j]);
             if (!in_contact) { filtered[j] = 0.0; }
             compensated[j] = filtered[j];
         }
@@ -195,14 +205,8 @@ private:
         for (size_t j = 0; j < task_.factors.rows(); ++j) { wrench[j] -= (j < 3 ? compensated_share : 1.0) * compensated[j]; }
     }
 
-    double bandwidth_;                // rad/s, of the tip's error along motion axes
-    double damping_ratio_;            // 1 is critically damped
-    bool in_tip_frame_;               // whether the axes turn with the tip
-    double approach_speed_;           // m/s; 0 for one that follows from target and effective mass
-    double contact_force_;            // N; 0 for one that follows from the target
+    HybridForceGains gains_;
     std::vector<size_t> force_axes_;  // 0 to 5 for x, y, z, rx, ry, rz
-    Vector6 targets_{};               // N or N m
-    double dt_;
     TaskSpace task_;
     std::array<Vector6, 6> directions_{};  // the unit twist of each axis in the world
     std::array<AxisCommand, 6> commands_;

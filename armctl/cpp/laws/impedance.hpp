@@ -4,6 +4,13 @@
 
 namespace armctl {
 
+struct ImpedanceGains {
+    Numbers stiffness;           // (6,) N/m and N m/rad, of the tip
+    Numbers max_error;           // (6,) m and rad, to which the spring stretches
+    Numbers posture_stiffness;   // (n,) N m/rad
+    double damping_ratio = 0.0;  // 1 is critically damped
+};
+
 // tau = ID(q, v, a_ref) + J^T K e + D (v_ref - v) + posture
 //
 // Sources: Hogan, "Impedance control" (1985). D follows from stiffness and mass matrix by simultaneous diagonalization, so
@@ -11,13 +18,17 @@ namespace armctl {
 // position, torque and impedance control of flexible joint robots" (2007). The posture spring acts in the null space.
 class Impedance final : public Cloneable<Impedance> {
 public:
-    Impedance(const Model& model, const Arguments& gains)
-        : Cloneable(model->n()), stiffness_(gains.numbers(6, "stiffness")), max_error_(gains.numbers(6, "max_error")),
-          posture_stiffness_(gains.numbers(model->n(), "posture_stiffness")), damping_ratio_(gains.number("damping_ratio")),
-          task_(model, 6) {}
+    Impedance(const Model& model, ImpedanceGains gains) : Cloneable(model->n()), gains_(std::move(gains)), task_(model, 6) {
+        require_size(gains_.stiffness, 6, "stiffness");
+        require_size(gains_.max_error, 6, "max_error");
+        require_size(gains_.posture_stiffness, joints(), "posture_stiffness");
+    }
 
-    // Replaces the stiffness of the tip.
-    void set_stiffness(const Arguments& gains) { stiffness_ = gains.numbers(6, "stiffness"); }
+    // Replaces the stiffness of the tip, (6,) N/m and N m/rad.
+    void set_stiffness(Numbers stiffness) {
+        require_size(stiffness, 6, "stiffness");
+        gains_.stiffness = std::move(stiffness);
+    }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const Vector v_ref = setpoint.v_tick;
@@ -30,9 +41,9 @@ public:
             feedback_[i] = 0.0;
             for (size_t k = 0; k < tau.size(); ++k) {
                 feedback_[i] += K_(i, k) * (setpoint.q[k] - state.q[k]);
-                for (size_t j = 0; j < 6; ++j) { K_(i, k) += stiffness_[j] * J(j, i) * J(j, k); }
+                for (size_t j = 0; j < 6; ++j) { K_(i, k) += gains_.stiffness[j] * J(j, i) * J(j, k); }
             }
-            for (size_t j = 0; j < 6; ++j) { feedback_[i] += J(j, i) * stiffness_[j] * clipped(task_.error[j], max_error_[j]); }
+            for (size_t j = 0; j < 6; ++j) { feedback_[i] += J(j, i) * gains_.stiffness[j] * clipped(task_.error[j], gains_.max_error[j]); }
         }
         add_critical_damping();
         task_.dynamics.inverse_dynamics(state.q, state.v, a_ref, tau);
@@ -57,7 +68,7 @@ private:
         for (size_t i = 0; i < n; ++i) {
             for (size_t k = 0; k < n; ++k) {
                 K_(i, k) = 0.0;
-                for (size_t j = 0; j < n; ++j) { K_(i, k) += posture_stiffness_[j] * null_space_(j, i) * null_space_(j, k); }
+                for (size_t j = 0; j < n; ++j) { K_(i, k) += gains_.posture_stiffness[j] * null_space_(j, i) * null_space_(j, k); }
             }
         }
     }
@@ -79,7 +90,7 @@ private:
         }
         diagonalize(K_, modes_);
         for (size_t m = 0; m < n; ++m) {
-            const double amplitude = 2.0 * damping_ratio_ * std::sqrt(std::max(K_(m, m), 0.0)) * dot(modes_.column(m), scaled_rate_);
+            const double amplitude = 2.0 * gains_.damping_ratio * std::sqrt(std::max(K_(m, m), 0.0)) * dot(modes_.column(m), scaled_rate_);
             for (size_t i = 0; i < n; ++i) {
                 double total = 0.0;
                 for (size_t k = 0; k <= i; ++k) { total += L(i, k) * modes_(k, m); }
@@ -88,10 +99,7 @@ private:
         }
     }
 
-    Numbers stiffness_;          // (6,) N/m and N m/rad, of the tip
-    Numbers max_error_;          // (6,) m and rad, to which the spring stretches
-    Numbers posture_stiffness_;  // (n,) N m/rad
-    double damping_ratio_;
+    ImpedanceGains gains_;
     TaskSpace task_;
     DenseMatrix null_space_{joints(), joints()};  // projection
     DenseMatrix K_{joints(), joints()};           // stiffness as seen by the joints, then that of the modes

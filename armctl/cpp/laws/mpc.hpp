@@ -4,6 +4,12 @@
 
 namespace armctl {
 
+struct MPCGains {
+    ComputedTorqueQPGains limits;
+    std::vector<size_t> blocks;  // (k,) the ticks of each block, at least 2
+    Numbers torque_rate;         // (n,) N m/s
+};
+
 // a = a_ref + stiffness e + damping e_dot + c, where c is linear in each block of the horizon: if it were constant, the feedback
 // would move the torque of a long block out of its limits.
 //
@@ -17,26 +23,28 @@ namespace armctl {
 // is one step of sequential quadratic programming per tick (the real-time iteration of Diehl, Bock, Schloeder, "A real-time iteration
 // scheme for nonlinear optimization in optimal feedback control", SIAM J. Control Optim. 43, 2005): c = 0 is no motion to linearize
 // along where errors are large. Where limits contradict each other, those of velocity and position that c = 0 exceeds become costs.
-// Without a solution the last plan goes on. The program of ComputedTorqueQP keeps the limits of the tick, and those of position beyond.
-class MPC final : public Cloneable<MPC, ComputedTorqueQP> {
+// Without a solution the last plan goes on. The AccelerationProgram keeps the limits of the tick, and those of position beyond.
+class MPC final : public Cloneable<MPC> {
 public:
-    // The gains are those of ComputedTorqueQP, `blocks` (k,), the ticks of each block, at least 2, and `torque_rate` (n,) N m/s.
-    MPC(const Model& model, const Arguments& gains)
-        : Cloneable(model, gains, memory_size(model->n(), gains.length("blocks"))), period_(model),
-          torque_rate_(gains.numbers(joints(), "torque_rate")),
-          ticks_(gains.integers(gains.length("blocks"), "blocks").begin(), gains.integers(gains.length("blocks"), "blocks").end()),
+    MPC(const Model& model, MPCGains gains)
+        : Cloneable(model->n(), memory_size(model->n(), gains.blocks.size())), program_(model, std::move(gains.limits)), period_(model),
+          torque_rate_(std::move(gains.torque_rate)), ticks_(std::move(gains.blocks)),
           rates_(std::ranges::any_of(torque_rate_, [](double rate) { return rate < unbounded; }) ? size() : 0),
           solver_(size(), 3 * size() + rates_) {
-        predict(gains.flag("continuous") ? 0.5 : 1.0);
+        require_size(torque_rate_, joints(), "torque_rate");
+        predict(this->gains().continuous ? 0.5 : 1.0);
     }
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
-        ComputedTorqueQP::torque(state, attainable(state, setpoint), tau);
+        const Setpoint nearer = attainable(state, setpoint);
+        program_.begin(state, nearer, tau);
+        plan(state, nearer, tau);
+        program_.limit(state, tau);
         const Result last = memory(counters, joints());
         for (size_t i = 0; i < joints(); ++i) {
-            const double change = torque_rate_[i] * dt_;
+            const double change = torque_rate_[i] * gains().dt;
             if (memory()[0] > 0.0) { tau[i] = std::clamp(tau[i], last[i] - change, last[i] + change); }
-            tau[i] = clipped(tau[i], tau_max_[i]);  // a plan on a limit exceeds it by rounding
+            tau[i] = clipped(tau[i], gains().torque_limit[i]);  // a plan on a limit exceeds it by rounding
             last[i] = tau[i];
         }
         memory()[0] += 1.0;
@@ -80,8 +88,8 @@ private:
     Setpoint attainable(const State& state, const Setpoint& setpoint) {
         Setpoint result = setpoint;
         for (size_t i = 0; i < joints(); ++i) {
-            const double inside = std::min(std::max(setpoint.q[i], q_min_[i]), q_max_[i]);
-            const double farthest = farthest_speed * damping_ / stiffness_ * v_max_[i];
+            const double inside = std::min(std::max(setpoint.q[i], gains().q_min[i]), gains().q_max[i]);
+            const double farthest = farthest_speed * gains().damping / gains().stiffness * gains().v_max[i];
             q_target_[i] = std::min(std::max(inside, state.q[i] - farthest), state.q[i] + farthest);
             too_far_[i] = inside - q_target_[i];
             const bool is_inside = inside == setpoint.q[i];
@@ -94,6 +102,8 @@ private:
         return result;
     }
 
+    const ComputedTorqueQPGains& gains() const { return program_.gains(); }
+    DenseMatrix square() const { return {joints(), joints()}; }
     static size_t memory_size(size_t n, size_t blocks) { return counters + n + n * blocks; }
     size_t blocks() const { return ticks_.size(); }
     size_t size() const { return blocks() * joints(); }
@@ -115,18 +125,18 @@ private:
             const size_t end = block < blocks() ? first + ticks_[block] : 2 * first;
             for (; tick < end; ++tick) {
                 for (size_t i = 0; i < now.size(); ++i) {
-                    now[i].acceleration = stiffness_ * now[i].error + damping_ * now[i].rate + weight(i, tick);
+                    now[i].acceleration = gains().stiffness * now[i].error + gains().damping * now[i].rate + weight(i, tick);
                 }
                 if (block < blocks() && (tick == first || tick + 1 == end)) { nodes_.push_back({.tick = tick, .of = now}); }
                 for (size_t i = 0; i < blocks(); ++i) {
                     for (size_t j = 0; j < blocks(); ++j) {
-                        if (rates_ == 0) { squares_(i, j) += stiffness_ * stiffness_ * now[i].error * now[j].error; }
+                        if (rates_ == 0) { squares_(i, j) += gains().stiffness * gains().stiffness * now[i].error * now[j].error; }
                         squares_(i, j) += weight(i, tick) * weight(j, tick);
                     }
                 }
                 for (Response& each : now) {
-                    each.error += dt_ * each.rate - position_step * dt_ * dt_ * each.acceleration;
-                    each.rate -= dt_ * each.acceleration;
+                    each.error += gains().dt * each.rate - position_step * gains().dt * gains().dt * each.acceleration;
+                    each.rate -= gains().dt * each.acceleration;
                 }
             }
         }
@@ -144,15 +154,15 @@ private:
         return 0.0;
     }
 
-    void plan(const State& state, const Setpoint& setpoint, Result tau) override {
+    void plan(const State& state, const Setpoint& setpoint, Result tau) {
         for (size_t i = 0; i < joints(); ++i) {
             error_[i] = setpoint.q[i] - state.q[i];
             rate_[i] = setpoint.v_tick[i] - state.v[i];
-            H_(i, i) += joint_weight * joint_weight * length_ * length_;
+            program_.H(i, i) += joint_weight * joint_weight * gains().length * gains().length;
         }
-        if (dt_ == 0.0) { return; }
+        if (gains().dt == 0.0) { return; }
         const bool is_outside = this->is_outside(state);
-        min_brake_share_ = is_outside ? min_brake_share : planned_brake_share;
+        program_.brake_share = is_outside ? AccelerationProgram::min_brake_share : planned_brake_share;
         if (is_outside) {
             memory()[1] += 1.0;
             memory()[2] += 1.0;
@@ -173,14 +183,14 @@ private:
                 memory()[3] += 1.0;
             } else {
                 memory()[2] += 1.0;
-                min_brake_share_ = min_brake_share;
+                program_.brake_share = AccelerationProgram::min_brake_share;
             }
         }
         for (size_t i = 0; i < joints(); ++i) {
             added_[i] = c()[i];
-            desired_[i] += added_[i];
+            program_.desired[i] += added_[i];
         }
-        for (size_t i = 0; i < joints(); ++i) { tau[i] = dot(M_.row(i), added_, tau[i]); }
+        for (size_t i = 0; i < joints(); ++i) { tau[i] = dot(program_.M.row(i), added_, tau[i]); }
     }
 
     // The plan of the last tick, seen from this one.
@@ -201,12 +211,25 @@ private:
 
     // Adds the rows of a node to the program: whether c = 0 exceeds a limit there.
     bool add_node(size_t k, const Setpoint& setpoint, Vector tau) {
-        const size_t n = joints();
         const Node& node = nodes_[k];
+        const size_t block = k / 2;
+        find_motion(node, setpoint);
+        if (k % 2 != 0) { return add_motion_rows(node, block); }
+        if (block == 0) {
+            copy(tau, tau_);
+            inertia_ = program_.M;
+        } else {
+            linearize(node);
+        }
+        return add_torque_rows(node, block);
+    }
+
+    // The motion at a node for c = 0, and its reference.
+    void find_motion(const Node& node, const Setpoint& setpoint) {
         const Response& of_error = node.of[blocks()];
         const Response& of_rate = node.of[blocks() + 1];
-        for (size_t i = 0; i < n; ++i) {
-            double q_ref = setpoint.q[i] + too_far_[i] + static_cast<double>(node.tick) * dt_ * setpoint.v_tick[i];
+        for (size_t i = 0; i < joints(); ++i) {
+            double q_ref = setpoint.q[i] + too_far_[i] + static_cast<double>(node.tick) * gains().dt * setpoint.v_tick[i];
             double v_ref = setpoint.v_tick[i];
             double a_ref = node.tick == 0 ? setpoint.a_tick[i] : 0.0;
             if (setpoint.q_ahead.rows > 0) {
@@ -215,68 +238,78 @@ private:
                 v_ref = setpoint.v_ahead(row, i);
                 a_ref = node.tick == row ? setpoint.a_ahead(row, i) : 0.0;
             }
-            q_ref = std::min(std::max(q_ref, q_min_[i]), q_max_[i]) - too_far_[i];
+            q_ref = std::min(std::max(q_ref, gains().q_min[i]), gains().q_max[i]) - too_far_[i];
             v_ref_[i] = v_ref;
             a_ref_[i] = a_ref;
             q_[i] = q_ref - of_error.error * error_[i] - of_rate.error * rate_[i];
             v_[i] = v_ref - of_error.rate * error_[i] - of_rate.rate * rate_[i];
             a_[i] = a_ref + of_error.acceleration * error_[i] + of_rate.acceleration * rate_[i];
         }
-        if (k == 0) {
-            copy(tau, tau_);
-            inertia_ = M_;
-        } else if (k % 2 == 0) {
-            for (size_t each = 0; each < blocks(); ++each) {
-                for (size_t i = 0; i < n; ++i) {
-                    const double last = c()[each * n + i];
-                    q_[i] -= node.of[each].error * last;
-                    v_[i] -= node.of[each].rate * last;
-                    a_[i] += node.of[each].acceleration * last;
-                }
+    }
+
+    // The torques, their derivatives and the inertia at the motion of the last plan.
+    void linearize(const Node& node) {
+        for (size_t each = 0; each < blocks(); ++each) {
+            for (size_t i = 0; i < joints(); ++i) {
+                const double last = c()[each * joints() + i];
+                q_[i] -= node.of[each].error * last;
+                v_[i] -= node.of[each].rate * last;
+                a_[i] += node.of[each].acceleration * last;
             }
-            find_torques();
-            period_.add_friction(v_ref_, a_ref_, tau_);
-            period_.mass_matrix(inertia_);
-            period_.add_step_inertia(inertia_);
         }
-        const size_t block = k / 2;
+        find_torques();
+        period_.add_friction(v_ref_, a_ref_, tau_);
+        period_.mass_matrix(inertia_);
+        period_.add_step_inertia(inertia_);
+    }
+
+    // The rows of the torques at the first tick of a block, and of their change since the block before.
+    bool add_torque_rows(const Node& node, size_t block) {
+        const size_t n = joints();
         const Result last = memory(counters, n);
         bool is_limited = false;
         for (size_t i = 0; i < n; ++i) {
             const size_t row = block * 3 * n + i;
-            if (k % 2 == 0) {
-                for (size_t each = 0; each < blocks(); ++each) {  // c changes neither q nor v of the first tick
-                    const Response& of = node.of[each];
-                    for (size_t j = 0; j < n; ++j) {
-                        rows_(row, each * n + j) = of.acceleration * inertia_(i, j) - of.rate * of_v_(i, j) - of.error * of_q_(i, j);
-                    }
+            for (size_t each = 0; each < blocks(); ++each) {  // c changes neither q nor v of the first tick
+                const Response& of = node.of[each];
+                for (size_t j = 0; j < n; ++j) {
+                    rows_(row, each * n + j) = of.acceleration * inertia_(i, j) - of.rate * of_v_(i, j) - of.error * of_q_(i, j);
                 }
-                if (k > 0) { tau_[i] -= dot(rows_.row(row), c()); }
-                double lower = -tau_max_[i];
-                double upper = tau_max_[i];
-                if (rates_ > 0 && block == 0 && memory()[0] > 0.0) {
-                    lower = std::max(lower, last[i] - torque_rate_[i] * dt_);
-                    upper = std::min(upper, last[i] + torque_rate_[i] * dt_);
-                }
-                is_limited = set_bounds(row, lower - tau_[i], upper - tau_[i]) || is_limited;
-                if (rates_ > 0 && block > 0) {
-                    const size_t rate = 3 * size() + block * n + i;
-                    for (size_t column = 0; column < size(); ++column) {
-                        rows_(rate, column) = rows_(row, column) - rows_(row - 3 * n, column);
-                    }
-                    const double change = torque_rate_[i] * dt_ * static_cast<double>(ticks_[block - 1]);
-                    const double planned = tau_[i] - tau_before_[i];
-                    is_limited = set_bounds(rate, -change - planned, change - planned) || is_limited;
-                }
-                tau_before_[i] = tau_[i];
-                continue;
             }
+            if (block > 0) { tau_[i] -= dot(rows_.row(row), c()); }
+            double lower = -gains().torque_limit[i];
+            double upper = gains().torque_limit[i];
+            if (rates_ > 0 && block == 0 && memory()[0] > 0.0) {
+                lower = std::max(lower, last[i] - torque_rate_[i] * gains().dt);
+                upper = std::min(upper, last[i] + torque_rate_[i] * gains().dt);
+            }
+            is_limited = set_bounds(row, lower - tau_[i], upper - tau_[i]) || is_limited;
+            if (rates_ > 0 && block > 0) {
+                const size_t rate = 3 * size() + block * n + i;
+                for (size_t column = 0; column < size(); ++column) {
+                    rows_(rate, column) = rows_(row, column) - rows_(row - 3 * n, column);
+                }
+                const double change = torque_rate_[i] * gains().dt * static_cast<double>(ticks_[block - 1]);
+                const double planned = tau_[i] - tau_before_[i];
+                is_limited = set_bounds(rate, -change - planned, change - planned) || is_limited;
+            }
+            tau_before_[i] = tau_[i];
+        }
+        return is_limited;
+    }
+
+    // The rows of velocities and positions at the last tick of a block.
+    bool add_motion_rows(const Node& node, size_t block) {
+        const size_t n = joints();
+        bool is_limited = false;
+        for (size_t i = 0; i < n; ++i) {
+            const size_t row = block * 3 * n + i;
             for (size_t each = 0; each < blocks(); ++each) {
                 rows_(row + n, each * n + i) = node.of[each].rate;
                 rows_(row + 2 * n, each * n + i) = node.of[each].error;
             }
-            is_limited = set_bounds(row + n, v_[i] - v_max_[i], v_[i] + v_max_[i], near_limit) || is_limited;
-            is_limited = set_bounds(row + 2 * n, q_[i] - q_max_[i], q_[i] - q_min_[i], near_limit) || is_limited;
+            is_limited = set_bounds(row + n, v_[i] - gains().v_max[i], v_[i] + gains().v_max[i], near_limit) || is_limited;
+            is_limited = set_bounds(row + 2 * n, q_[i] - gains().q_max[i], q_[i] - gains().q_min[i], near_limit) || is_limited;
         }
         return is_limited;
     }
@@ -311,7 +344,7 @@ private:
         const size_t n = joints();
         for (size_t row = 0; row < size(); ++row) {
             for (size_t column = 0; column < size(); ++column) {
-                cost_(row, column) = squares_(row / n, column / n) * H_(row % n, column % n);
+                cost_(row, column) = squares_(row / n, column / n) * program_.H(row % n, column % n);
             }
         }
         return {.H = cost_, .f = {}, .M = rows_, .lower = lower_, .upper = upper_};
@@ -336,11 +369,12 @@ private:
     // Whether a joint is outside of its range: no plan keeps it then; the program of the tick brakes and brings it back.
     bool is_outside(const State& state) const {
         for (size_t i = 0; i < joints(); ++i) {
-            if (state.q[i] < q_min_[i] - position_tolerance || state.q[i] > q_max_[i] + position_tolerance) { return true; }
+            if (state.q[i] < gains().q_min[i] - position_tolerance || state.q[i] > gains().q_max[i] + position_tolerance) { return true; }
         }
         return false;
     }
 
+    AccelerationProgram program_;
     Dynamics period_;            // of the control period
     Numbers torque_rate_;        // (n,) N m/s
     std::vector<size_t> ticks_;  // of each block

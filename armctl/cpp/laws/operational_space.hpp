@@ -4,6 +4,13 @@
 
 namespace armctl {
 
+struct OperationalSpaceGains {
+    double stiffness = 0.0;          // 1/s^2, of the tip
+    double damping = 0.0;            // 1/s
+    double posture_stiffness = 0.0;  // 1/s^2, of the joints
+    double posture_damping = 0.0;    // 1/s
+};
+
 // tau = ID(q, v, a_ref + J# (k_p e + k_d e_dot) + (1 - J# J) (k_p' (q_ref - q) + k_d' (v_ref - v)))
 //
 // J# is the dynamically consistent inverse, damped near singular configurations. The linear damping of the joints is compensated at
@@ -11,31 +18,28 @@ namespace armctl {
 // alone, errors of damped joints would decay more slowly than by the formula.
 class OperationalSpace final : public Cloneable<OperationalSpace> {
 public:
-    OperationalSpace(const Model& model, const Arguments& gains)
-        : Cloneable(model->n()), stiffness_(gains.number("stiffness")), damping_(gains.number("damping")),
-          posture_stiffness_(gains.number("posture_stiffness")), posture_damping_(gains.number("posture_damping")), task_(model, 6) {}
+    OperationalSpace(const Model& model, const OperationalSpaceGains& gains) : Cloneable(model->n()), gains_(gains), task_(model, 6) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         const Vector v_ref = setpoint.v_tick;
         task_.measure(state.q, setpoint.q);
         for (size_t i = 0; i < tau.size(); ++i) {
-            v_damped_[i] = std::sqrt(posture_stiffness_) * (setpoint.q[i] - state.q[i]);
-            posture_[i] = posture_stiffness_ * (setpoint.q[i] - state.q[i]) + posture_damping_ * (v_ref[i] - state.v[i]);
+            v_damped_[i] = std::sqrt(gains_.posture_stiffness) * (setpoint.q[i] - state.q[i]);
+            posture_[i] = gains_.posture_stiffness * (setpoint.q[i] - state.q[i]) + gains_.posture_damping * (v_ref[i] - state.v[i]);
         }
         Vector6 motion{};
-        for (size_t k = 0; k < 6; ++k) { motion[k] = stiffness_ * task_.error[k] + damping_ * task_.error_rate(k, v_ref, state.v); }
+        for (size_t k = 0; k < 6; ++k) {
+            motion[k] = gains_.stiffness * task_.error[k] + gains_.damping * task_.error_rate(k, v_ref, state.v);
+        }
         Vector6 speed{};
-        for (size_t k = 0; k < 6; ++k) { speed[k] = std::sqrt(stiffness_) * task_.error[k]; }
+        for (size_t k = 0; k < 6; ++k) { speed[k] = std::sqrt(gains_.stiffness) * task_.error[k]; }
         task_.add_task_motion(speed, v_damped_);
         for (size_t i = 0; i < tau.size(); ++i) { v_damped_[i] += v_ref[i]; }
         task_.torque(state, setpoint.a_tick, motion, posture_, v_damped_, v_ref, tau);
     }
 
 private:
-    double stiffness_;          // 1/s^2, of the tip
-    double damping_;            // 1/s
-    double posture_stiffness_;  // 1/s^2, of the joints
-    double posture_damping_;    // 1/s
+    OperationalSpaceGains gains_;
     TaskSpace task_;
     Numbers posture_ = zeros();   // acceleration
     Numbers v_damped_ = zeros();  // at which the damping of the joints is compensated
