@@ -20,6 +20,7 @@ PARTS_dev := the dependencies, the viewer and what the tests need into $(VENV): 
 BUILD_CORE := $(BIN)/python packaging/build_backend/armctl_build.py
 CXX_SOURCES := $(shell find armctl/cpp -name '*.[ch]pp')
 CORE_SOURCES := CMakeLists.txt $(CXX_SOURCES)
+CXX_TESTS := $(wildcard tests/cpp/*.[ch]pp)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
@@ -131,7 +132,7 @@ lint: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/ruff check . || { echo "ruff found the above; make format fixes some of it"; exit 1; }
 	@$(BIN)/lint-imports --no-logo || { echo "an import runs against the layers in pyproject.toml"; exit 1; }
 	@$(BIN)/ruff format --check . || { echo "some files are not in ruff's format; make format applies it"; exit 1; }
-	@$(BIN)/clang-format --dry-run -Werror $(CXX_SOURCES) || { echo "some C++ files are not in clang-format's format; make format applies it"; exit 1; }
+	@$(BIN)/clang-format --dry-run -Werror $(CXX_SOURCES) $(CXX_TESTS) || { echo "some C++ files are not in clang-format's format; make format applies it"; exit 1; }
 	@# clang-tidy reads the headers of the computer's own compiler; zig's are elsewhere.
 	@! command -v c++ >/dev/null || printf '%s\n' $(filter %.cpp,$(CXX_SOURCES)) | \
 	  xargs -P 2 -n 4 $(BIN)/clang-tidy --quiet -p $$(ls -td build/core/* | head -1) 2>/dev/null || { \
@@ -140,7 +141,7 @@ lint: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python packaging/code_size.py
 
 format: $(VENV)/dev.stamp $(VENV)/core.stamp
-	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format . ; $(BIN)/clang-format -i $(CXX_SOURCES)
+	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format . ; $(BIN)/clang-format -i $(CXX_SOURCES) $(CXX_TESTS)
 
 types: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/pyright --pythonpath $(BIN)/python || { echo "pyright found the type errors above"; exit 1; }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypedDict
 from weakref import finalize
 
 import numpy as np
@@ -26,11 +26,25 @@ _LIMIT_ROUNDING = 1e-9  # rad or m: a start that much outside the limits is move
 _NO_BRANCHES = (None,) * (_core.NO_BRANCH + 1)
 
 
+class _ChainArrays(TypedDict):
+    """What the compiled core takes of a chain, for each of the k joints and each of the n unknowns."""
+
+    rotations: Array  # (k + 1, 3, 3), of the tip as well, in the frame before
+    translations: Array  # (k + 1, 3) reaches
+    slides: IntArray
+    unknowns: IntArray
+    ratios: Array
+    low: Array
+    high: Array
+    period: Array
+    reach: float
+
+
 @dataclass(frozen=True, eq=False)
 class IkChain:
     """The chain of an arm with n unknowns, as the solver sees it: lengths are in units of the reach."""
 
-    arrays: dict[str, Any]  # what the compiled core takes
+    arrays: _ChainArrays
     core: _core.Chain  # the chain in the compiled core
     reach: float  # m, the length of the arm stretched out, which is the unit of length
     base: Array  # (3,) m, the origin of the first joint
@@ -57,11 +71,14 @@ class IkChain:
 
     def held(self, joints: IntArray, positions: Array) -> IkChain:
         """The chain with some unknowns held at positions in the solver's units: a sweep."""
-        fixed = {"low": self.low.copy(), "high": self.high.copy(), "period": self.period.copy()}
-        fixed["low"][joints] = positions
-        fixed["high"][joints] = positions
-        fixed["period"][joints] = 0.0
-        return replace(self, core=_core.Chain(**(self.arrays | fixed)), **fixed)
+        low = self.low.copy()
+        high = self.high.copy()
+        period = self.period.copy()
+        low[joints] = positions
+        high[joints] = positions
+        period[joints] = 0.0
+        arrays: _ChainArrays = {**self.arrays, "low": low, "high": high, "period": period}
+        return replace(self, core=_core.Chain(**arrays), low=low, high=high, period=period)
 
     def to_units(self, q: Array) -> Array:
         """Configurations (N, n) in the solver's units."""
@@ -229,7 +246,7 @@ def _make_chain(arm: Arm) -> IkChain:
     low = limits.q_min / unit
     high = limits.q_max / unit
     period = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
-    arrays: dict[str, Any] = {
+    arrays: _ChainArrays = {
         "rotations": rotations,
         "translations": translations,
         "slides": body.is_slide.astype(np.int64),

@@ -28,7 +28,8 @@ inline void near(double value, double expected, double tolerance, const char* wh
 
 // That a call throws an error whose message begins with a text.
 template <class Error>
-void throws(const std::function<void()>& call, std::string_view begin, const std::source_location& place = std::source_location::current()) {
+void throws(const std::function<void()>& call, std::string_view begin,
+            const std::source_location& place = std::source_location::current()) {
     try {
         call();
     } catch (const Error& error) {

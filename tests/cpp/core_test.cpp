@@ -220,7 +220,8 @@ void a_clone_begins_a_run_of_its_own() {
 
 // The arrays of a trajectory that stays at a place, and the records of a loop.
 struct Recording {
-    explicit Recording(size_t count, const std::array<double, n>& place) : q(count, n), rest(count, n), qpos(q), v(q), command(q), torque(q) {
+    explicit Recording(size_t count, const std::array<double, n>& place)
+        : q(count, n), rest(count, n), qpos(q), v(q), command(q), torque(q) {
         for (size_t row = 0; row < count; ++row) { copy(place, q.row(row)); }
     }
 
@@ -301,7 +302,8 @@ void a_loop_ends_where_something_is_wrong() {
     const TickEnd fast = loop.run(recording.ticks(5), law, nullptr, nullptr, "");
     checks::that(fast.status == TickStatus::diverged, "a joint that is too fast ends the loop");
     checks::throws<InputError>([&] { loop.check(recording.ticks(6), law, nullptr, nullptr); }, "first, last: ");
-    checks::throws<InputError>([&] { loop.check(recording.ticks(5), PD({.stiffness = {1.0}, .damping = {1.0}}), nullptr, nullptr); }, "law: ");
+    checks::throws<InputError>([&] { loop.check(recording.ticks(5), PD({.stiffness = {1.0}, .damping = {1.0}}), nullptr, nullptr); },
+                               "law: ");
 }
 
 }  // namespace
