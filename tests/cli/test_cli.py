@@ -365,6 +365,7 @@ def _paths() -> dict[str, str]:
     return {"PYTHONPATH": ":".join(sys.path)}
 
 
+@pytest.mark.full
 def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
     chosen = ("--controllers", "pd,computed-torque", "--plants", "nominal,payload=1")
     status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--report", str(tmp_path), "--workers", "1", "--json")

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from arms import arm_of
+from arms import arm_of, some_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -124,7 +124,7 @@ def steps(t: float) -> float:
 
 @pytest.mark.parametrize("wanted", [rest, fast_sine, two_sines, triangle, steps])
 @pytest.mark.parametrize("latency", [0.0, 0.07, 0.2])
-@pytest.mark.parametrize("rate", [10.0, 30.0, 100.0])
+@pytest.mark.parametrize("rate", some_of([10.0, 30.0, 100.0], [10.0]))
 def test_no_prediction_is_worse_than_the_better_one_of_holding_and_extrapolating_the_targets(
     wanted, latency: float, rate: float
 ):

@@ -17,6 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from arms import some_of
 
 import armctl
 from armctl.sim.mujoco_library import library
@@ -172,6 +173,7 @@ study.run(Slow(), folder=sys.argv[2])
 """
 
 
+@pytest.mark.full
 def test_a_client_that_is_killed_loses_no_finished_run(study, finished, toml, tmp_path):
     (tmp_path / "trial.toml").write_text(toml)
     process = subprocess.Popen([sys.executable, "-c", CLIENT, tmp_path / "trial.toml", tmp_path])
@@ -203,7 +205,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("method", sorted({"fork", "spawn"}.intersection(get_all_start_methods())))
+@pytest.mark.parametrize("method", some_of(sorted({"fork", "spawn"}.intersection(get_all_start_methods())), ["spawn"]))
 def test_processes_find_what_one_thread_finds(study, finished, toml, tmp_path, method: str):
     (tmp_path / "trial.toml").write_text(toml)
     (tmp_path / "main.py").write_text(STARTING_PROCESSES)
@@ -211,6 +213,7 @@ def test_processes_find_what_one_thread_finds(study, finished, toml, tmp_path, m
     assert digests(study().result(tmp_path)) == digests(finished)
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 def test_a_dask_worker_that_is_killed_loses_nothing(study, finished, tmp_path):
     from dask.distributed import Client, LocalCluster
