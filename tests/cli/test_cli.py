@@ -386,6 +386,7 @@ def test_compare_tunes_controllers_to_one_delay_margin(capsys):
     assert out.startswith("computed-torque-textbook has its default gains: it has no gains to tune")
 
 
+@pytest.mark.full
 def test_compare_saves_every_run_in_files_of_its_own(capsys, tmp_path):
     plants = "friction=0.01,friction=0.05"
     status, _, err = run(capsys, "compare", BUNDLED, "--plants", plants, "--save", str(tmp_path), "--workers", "1")

@@ -232,7 +232,12 @@ def test_without_a_plan_the_limits_of_the_tick_hold(arm):
 
 
 @pytest.mark.parametrize(
-    ("seed", "rate", "contradicts"), [(3, 30.0, True), (3, 40.0, False), pytest.param(21, 200.0, False, marks=pytest.mark.full)]
+    ("seed", "rate", "contradicts"),
+    [
+        (3, 30.0, True),
+        pytest.param(3, 40.0, False, marks=pytest.mark.full),
+        pytest.param(21, 200.0, False, marks=pytest.mark.full),
+    ],
 )
 def test_the_plan_foresees_the_limit_of_the_torque_rate(arm, seed, rate, contradicts):
     motion = random_motion(arm, seed)

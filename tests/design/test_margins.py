@@ -162,7 +162,8 @@ def test_the_variance_of_a_response_is_that_of_repeated_measurements():
     assert np.mean([each.variance for each in found], axis=0) == pytest.approx(scatter, rel=0.1)
 
 
-@pytest.mark.parametrize("controller", some_of(["pd", "computed-torque"], ["pd"]))
+@pytest.mark.full
+@pytest.mark.parametrize("controller", ["pd", "computed-torque"])
 def test_the_lag_of_a_differenced_velocity_is_predicted(arm, controller):
     plant = armctl.Plant(timestep=0.004, continuous=True)
     found = armctl.frequency_response(arm, controller, arm.home, 1, plant)
@@ -195,6 +196,7 @@ def test_a_linear_arm_moves_like_the_simulated_one(arm, continuous):
     assert np.abs(measured - np.array(expected)[: len(measured)]).max() < 1e-3 * np.abs(expected).max()
 
 
+@pytest.mark.full
 def test_a_search_finds_worse_margins_than_the_sampled_configurations(arm):
     law = armctl.PDGravity(arm)
     searched = armctl.margins(arm, law, 5, [PLANT])

@@ -106,6 +106,7 @@ def test_links_show_the_resonance_without_an_antiresonance(arm, motion, elastic)
     assert found.two_mass().side == "link"
 
 
+@pytest.mark.full
 def test_the_proposed_notch_raises_the_margin_as_predicted(arm, fits):
     known = armctl.TwoMass.plant(arm, fits, arm.home, armctl.Plant(timestep=0.002, delay=1))
     law = armctl.ComputedTorque(arm)

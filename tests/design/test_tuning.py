@@ -52,6 +52,7 @@ def test_default_gains_that_violate_a_bound_are_raised_if_higher_ones_satisfy_it
     assert found.after.peak_sensitivity <= 3.0
 
 
+@pytest.mark.full
 def test_default_pd_of_a_damped_arm_is_nearly_as_stiff_as_the_tuned_one(tmp_path):
     arm = serial_arm(tmp_path, replace(BENT["planar"], joint='damping="60"'))
     found = armctl.tune(arm, "pd-gravity", poses=3, plants=[PLANT])
@@ -94,8 +95,8 @@ def margins_of_elevator(kp, kd, mass, damping, dt, lag, count=4000):
     ("mass", "damping", "dt", "lag", "delay_margin"),
     [
         (6.0, 8.0, 0.005, 10, 0.01),
-        (6.0, 8.0, 0.005, 0, 0.06),
-        (60.0, 0.0, 0.002, 0, 0.12),
+        pytest.param(6.0, 8.0, 0.005, 0, 0.06, marks=pytest.mark.full),
+        pytest.param(60.0, 0.0, 0.002, 0, 0.12, marks=pytest.mark.full),
         (3.0, 400.0, 0.004, 5, 0.02),
     ],
 )

@@ -148,6 +148,7 @@ def test_torque_noise_follows_the_step_of_the_encoder_and_is_zero_without(arm):
     assert np.isinf(armctl.linearize(arm, armctl.PD(arm, stiffness=0.0, damping=1e7), arm.home, IDEAL).chatter(1e-5)).all()
 
 
+@pytest.mark.full
 def test_a_comparison_and_a_tuning_name_the_least_damping_of_a_law_that_vibrates(arm):
     motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
     vibrating = armctl.compare(arm, ["pd-gravity"], motion, [elastic(arm, 6.0)], poses=1)

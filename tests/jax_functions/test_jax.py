@@ -125,6 +125,7 @@ def test_a_batch_of_closed_loops_is_simulated_and_differentiated(planar):
     assert slope < 0.0  # a stiffer loop sags less
 
 
+@pytest.mark.full
 def test_rotation_vectors_are_those_of_pinocchio_also_of_half_a_turn():
     vectors = np.array([[0.0, 0.0, 0.0], [1e-9, -2e-9, 0.0], [0.3, -1.0, 0.2], [3.1, 0.2, -0.3], [0.0, -3.14159, 1e-3]])
     rotations = np.array([pin.exp3(vector) for vector in vectors])

@@ -33,6 +33,7 @@ def assert_within(limits: armctl.Limits, rows: np.ndarray) -> None:
     assert (j <= (1 + ROUNDING) * limits.j_max).all(), j / limits.j_max
 
 
+@pytest.mark.full
 @given(seed=st.integers(0, 40), share=st.floats(0.0, 1.0))
 @settings(max_examples=15, deadline=None)
 def test_a_stop_at_any_time_stays_on_the_path_and_within_the_limits(seed: int, share: float):

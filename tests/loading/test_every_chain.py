@@ -17,7 +17,7 @@ SOFT = '<equality><joint joint1="c" joint2="b" polycoef="0 1 0 0 0" solref="0.02
 
 
 @pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
-@pytest.mark.parametrize("robot", some_of(ROBOTS, [BUNDLED, "aloha/aloha", "unitree_go2/go2"]))
+@pytest.mark.parametrize("robot", some_of(ROBOTS, [BUNDLED, "unitree_go2/go2"]))
 def test_every_chain_keeps_its_promises(robot: str):
     for base, arm in arms_of(robot):
         check = check_chain(arm, base, POSES)

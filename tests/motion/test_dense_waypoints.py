@@ -145,6 +145,7 @@ def test_the_phase_plane_agrees_with_a_closed_form():
     assert least_time(line, np.full(2, 1.0), np.full(2, 4.0)) == pytest.approx(1.0 + 1 / 4, rel=2e-3)
 
 
+@pytest.mark.full
 def test_uneven_waypoints_on_a_smooth_curve_cost_little(light):
     arm = with_bounds(light, 3.14, 25.0, 5e3)
     rng = np.random.default_rng(3)

@@ -69,6 +69,7 @@ def test_the_futures_are_those_of_the_simulation(arm):
     assert simulation.data.body("box").xpos[1] > 5e-3
 
 
+@pytest.mark.full
 def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(arm):
     logs = []
     for threads, seed in ((1, 2), (3, 2), (1, 3)):

@@ -190,6 +190,7 @@ def test_a_newer_chunk_replaces_the_older_one_from_its_first_time_on(arm):
     assert_inside(arm, points)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("every", [0.1, 1 / RATE, 0.02, DT])
 def test_a_chunk_that_is_replaced_often_is_followed_as_well(arm, every: float):
     wanted = sine(arm)

@@ -205,6 +205,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("method", some_of(sorted({"fork", "spawn"}.intersection(get_all_start_methods())), ["spawn"]))
 def test_processes_find_what_one_thread_finds(study, finished, toml, tmp_path, method: str):
     (tmp_path / "trial.toml").write_text(toml)

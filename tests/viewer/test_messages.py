@@ -109,6 +109,7 @@ def test_no_value_of_a_control_ends_the_session(page, client):
     follows(page, client)
 
 
+@pytest.mark.full
 def test_a_client_changes_no_property_of_a_control(page, client):
     controls = page.scene.server.gui._gui_input_handle_from_uuid
     before = {uuid: (control.label, control.visible, control.disabled) for uuid, control in controls.items()}
@@ -200,6 +201,7 @@ def test_jog_buttons_move_the_target_along_tool_or_world_axes_and_undo_takes_it_
     client.set(page, "axes", "tool")
 
 
+@pytest.mark.full
 def test_jog_buttons_move_single_joints_one_step_after_another(page, client):
     follows(page, client)
     before = page.session.status.q
