@@ -6,10 +6,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Of the tests: one more than there are cores, for some tests wait for browsers and other processes.
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
-# Arguments of pytest. Tests marked `full` are left out unless `make test-all` runs them.
+# Arguments of pytest. Tests marked `full` are left out unless `make test-all` runs them; those marked `nightly` have a job of their own.
 TESTS ?=
-ALL := -m "not form"
-SOME := -m "not form and not full"
+ALL := -m "not form and not nightly"
+SOME := -m "not form and not nightly and not full"
 FORM := tests/project/test_architecture.py tests/project/test_docstrings.py
 # One process runs a file: what its tests share is made once.
 BY_FILE := --dist loadfile --no-loadscope-reorder
@@ -28,12 +28,12 @@ export PIP_NO_INPUT := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all core build-core install-dependencies stubs sanitize lint format types docs check-docs pytest pytest-all lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
+.PHONY: help demo test test-all core build-core install-dependencies stubs sanitize lint format types docs check-docs pytest pytest-all pytest-nightly lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
 
 help:
 	@echo "make demo      the bundled arm moves to the green target and prints a report"
 	@echo "make test      lint, types, docs and pytest, as follows"
-	@echo "make test-all  the same with the tests that make test leaves out: further robots, browsers, examples of minutes, fuzz"
+	@echo "make test-all  the same with the tests that make test leaves out: other robots, browsers, examples of minutes"
 	@echo "make core      build the compiled core in place, armctl/_core from armctl/cpp; only what has changed is compiled"
 	@echo "make stubs     write armctl/_core.pyi, the types of the compiled core"
 	@echo "make sanitize  the tests of the compiled core under AddressSanitizer and UndefinedBehaviorSanitizer"
@@ -41,7 +41,7 @@ help:
 	@echo "make format    apply the fixes and the format of ruff and clang-format"
 	@echo "make types     pyright"
 	@echo "make docs      build the pages in docs/_build; make check-docs only looks for warnings"
-	@echo "make pytest    tests; make pytest-all runs all of them"
+	@echo "make pytest    tests; make pytest-all runs more, make pytest-nightly further robots, random tests and repetitions"
 	@echo "make lowest    tests with the lowest versions that pyproject.toml allows, in .lowest"
 	@echo "make examples  only the examples"
 	@echo "make franka-sim  random motions on a simulator of Franka's controller that enforces its limits"
@@ -125,7 +125,7 @@ test:
 	@$(MAKE) --no-print-directory pytest
 
 test-all: $(VENV)/ci.stamp
-	@$(MAKE) --no-print-directory --jobs 2 lint types docs
+	@$(MAKE) --no-print-directory --jobs 2 lint types check-docs
 	@$(MAKE) --no-print-directory pytest-all
 
 lint: $(VENV)/dev.stamp $(VENV)/core.stamp
@@ -154,7 +154,7 @@ check-docs: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m sphinx -W --keep-going -q -b dummy docs docs/_build/dummy || { echo "the docs do not build; the warnings above count as errors"; exit 1; }
 
 pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
-	@echo "left out: tests marked full, of further robots, browsers, examples of minutes and fuzz; make test-all runs them, too"
+	@echo "left out: tests of other robots, browsers, examples of minutes (make test-all), further robots, random calls (make pytest-nightly)"
 	@$(BIN)/python -m pytest $(SOME) $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
 pytest-all: $(VENV)/ci.stamp $(VENV)/core.stamp
@@ -169,6 +169,9 @@ pytest-all: $(VENV)/ci.stamp $(VENV)/core.stamp
 
 lowest: .lowest/stamp
 	@.lowest/bin/python -m pytest -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above"; exit 1; }
+
+pytest-nightly: $(VENV)/ci.stamp $(VENV)/core.stamp
+	@$(BIN)/python -m pytest -m nightly $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above"; exit 1; }
 
 examples: $(VENV)/ci.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8

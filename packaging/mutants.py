@@ -208,7 +208,11 @@ def run_pytest(arguments: list[str], plugin: object, number: int | None = None, 
         os.environ["PYTHONPATH"] = str(WORK)
         os.environ["SEEDED_ERROR"] = str(-1 if number is None else number)
         sys.path[:] = [str(WORK), *(path for path in sys.path if Path(path) not in (ROOT, ROOT / "packaging"))]
-        code = int(pytest.main(["-q", "-p", "no:cacheprovider", "-n", "0", "-m", "not full", *arguments], plugins=[plugin]))
+        code = int(
+            pytest.main(
+                ["-q", "-p", "no:cacheprovider", "-n", "0", "-m", "not full and not nightly", *arguments], plugins=[plugin]
+            )
+        )
         armctl = sys.modules.get("armctl")
         assert armctl is None or Path(str(armctl.__file__)).is_relative_to(WORK), "another armctl was tested"
         return code

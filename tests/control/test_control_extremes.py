@@ -25,9 +25,9 @@ UNSUPPORTED = ("pd", "pd-feedforward")  # away from its reference, a light arm f
     ("integrator", "dt"),  # the longer period is the harder one
     [
         ("implicitfast", 0.004),
-        pytest.param("implicitfast", 0.001, marks=pytest.mark.full),
-        pytest.param("Euler", 0.004, marks=pytest.mark.full),
-        pytest.param("implicit", 0.004, marks=pytest.mark.full),
+        pytest.param("implicitfast", 0.001, marks=pytest.mark.nightly),
+        pytest.param("Euler", 0.004, marks=pytest.mark.nightly),
+        pytest.param("implicit", 0.004, marks=pytest.mark.nightly),
         pytest.param("continuous", 0.004, marks=pytest.mark.full),
     ],
 )

@@ -104,7 +104,7 @@ def test_parameters_are_those_of_the_real_servos(known):
     assert 0 < found.errors.delay < 1e-3
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("stiffness", "damping"),
     [([500, 1.1], [7.0, 0.1]), ([17, 22], [7.0, 0.05])],
@@ -122,7 +122,7 @@ def test_servos_are_found_from_files_with_others(tmp_path, stiffness, damping):
     assert found.parameters.delay == pytest.approx(DELAY, rel=0.02)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_stiff_servos_are_within_their_errors_and_have_no_backlash(known, file):
     """Steps of 2 ms damp servos of 70 rad/s by a tenth less: the errors say so, whatever the noise is."""
     arm, _ = known
@@ -182,7 +182,7 @@ def test_a_backlash_stays_only_if_the_judge_rejects_the_fit_without_it(file, see
     assert told or "as well without a backlash as with one of 20 mrad" in reason
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_rotor_inertia_that_is_small_beside_that_of_links_is_within_its_error(known, file):
     """A rotor with 5 % of its joint's inertia: steps of 2 ms move the arm by more than the whole rotor does."""
     arm, _ = known
@@ -273,7 +273,7 @@ def test_a_joint_with_two_actuators_gets_one_servo_with_the_gains_of_both(before
     assert model.actuator_forcerange[order, 1] == pytest.approx(arm.limits.tau_max)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_without_gravity_the_scale_is_not_shown(tmp_path):
     """Both joints turn about the vertical, with links on their axes: positions show ratios only."""
     path = tmp_path / "vertical.xml"

@@ -61,7 +61,7 @@ def test_the_motion_keeps_all_limits_and_never_turns_in_a_measured_period(arm, m
     assert (multisine.lines % 2 == 1).all()
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("plant", "largest_bound"),  # MuJoCo's dry friction is viscous at low speed: more of it, the lighter the rotor
     [

@@ -118,7 +118,7 @@ def test_the_stiffness_of_an_elevator_is_the_highest_that_a_grid_of_gains_finds(
     assert best <= 1.1 * kp
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @pytest.mark.parametrize("damping", [0.5, 20.0])
 def test_looser_bounds_never_give_worse_gains(tmp_path, damping):
     arm = serial_arm(tmp_path, replace(BENT["planar"], joint=f'damping="{damping}"'))

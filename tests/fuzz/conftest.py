@@ -15,10 +15,10 @@ import pytest
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """All random tests are left to the full run."""
+    """All random tests are left to the nightly job."""
     for item in items:
         if item.path.parent == Path(__file__).parent:
-            item.add_marker("full")
+            item.add_marker("nightly")
 
 
 @pytest.fixture

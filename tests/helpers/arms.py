@@ -99,16 +99,27 @@ ARMS = [BUNDLED, *MENAGERIE_ARMS, *PAIRS, *sorted(path.stem for path in MODELS.i
 ROBOTS = [BUNDLED, *(_SHORT.get(r.name, r.name) for r in menagerie.robots() if at_hand(r.name))]
 # Of the lists above, `make test` runs these: the bundled arm, a redundant one, a robot with legs, and the chains of `MODELS`.
 FEW = {BUNDLED, "panda", "unitree_go2", *(path.stem for path in MODELS.iterdir())}
+# Those that `make test-all` runs besides: six joints, five, two arms. The nightly job runs all.
+MORE = {"ur5e", "so_arm100", "aloha", *(f"aloha:{chain}" for chain in CHAINS[:1])}
+NIGHTLY = {*ARMS, *ROBOTS} - FEW - MORE
 
 
-def some_of(names: Iterable, few: Collection = frozenset(FEW)) -> list:
+def some_of(names: Iterable, few: Collection = frozenset(FEW), nightly: Collection = frozenset(NIGHTLY)) -> list:
     """Parameters of a test, of which only a few belong to `make test`.
 
     Args:
         names: All of them.
         few: Those that `make test` runs.
+        nightly: Those that `make test-all` does not run either, unless they are in `few`.
 
     Returns:
-        The names; those that are not in `few` with the mark `full`.
+        The names; those that are not in `few` with the mark `full` or `nightly`.
     """
-    return [name if name in few else pytest.param(name, marks=pytest.mark.full) for name in names]
+
+    def marked(name: object) -> object:
+        if name in few:
+            return name
+        is_nightly = isinstance(name, str) and name in nightly
+        return pytest.param(name, marks=pytest.mark.nightly if is_nightly else pytest.mark.full)
+
+    return [marked(name) for name in names]

@@ -21,7 +21,7 @@ import armctl
 from armctl.analysis.comparison_html import write_comparison
 from armctl.render.renderer import gl_context
 
-KILLS = 4
+KILLS = 2
 LONGEST_DELAY_S = 0.5
 READS = 20  # while two processes write
 SAME_COLOR = 10.0  # of 255, any value of any frame; the two films differ by 121

@@ -199,7 +199,7 @@ TEAMS = {
 }
 
 
-@pytest.fixture(scope="module", params=some_of(TEAMS, ["unitree_go2/go2"]))
+@pytest.fixture(scope="module", params=some_of(TEAMS, ["unitree_go2/go2"], ["unitree_go1/go1", "anybotics_anymal_c/anymal_c"]))
 def limbs(request: pytest.FixtureRequest) -> tuple[armctl.Arm, ...]:
     """All arms, legs or fingers of a robot."""
     if not at_hand(request.param.partition("/")[0]):
