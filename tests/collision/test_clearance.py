@@ -1,5 +1,6 @@
 """The certificate: a bound that holds between samples, and is close to what is attained."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import mujoco
@@ -159,3 +160,25 @@ def test_wrong_calls_are_one_sentence(arm, arguments, message):
 def test_a_motion_of_other_joints_is_rejected(arm, bundled):
     with pytest.raises(armctl.InputError, match="the arm has j0"):
         armctl.check_clearance(arm, armctl.move_j(bundled, bundled.home, bundled.home + 0.01))
+
+
+@dataclass
+class HigherDegree:
+    """A motion with zeros as coefficients of the sixth power."""
+
+    motion: armctl.JointTrajectory
+
+    def __post_init__(self):
+        self.knots = self.motion.knots
+        self.joint_names = self.motion.joint_names
+        self.duration = self.motion.duration
+        self.coefficients = np.pad(self.motion.coefficients, ((0, 0), (0, 1), (0, 0)))
+
+    def __call__(self, t: float) -> armctl.Setpoint:
+        return self.motion(t)
+
+
+def test_polynomials_of_a_higher_degree_than_the_proofs_take_are_refused(bundled):
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.1)
+    with pytest.raises(armctl.InputError, match="expected polynomials of degree at most 5, got 6"):
+        armctl.check_clearance(bundled, HigherDegree(motion))

@@ -382,3 +382,20 @@ def test_any_whole_number_of_at_least_zero_is_a_seed(tmp_path):
         same = solve_ik_all(arm, target, 8, GENERIC, seed=seed % 2**63)
         assert len(found)
         assert np.array_equal([each.q for each in found], [each.q for each in same])
+
+
+def test_an_arm_with_all_sixteen_solutions_is_complete(tmp_path):
+    """Lengths and twists of Manseur and Doty, "A robot manipulator with 16 real inverse kinematic solution sets", 1989."""
+    chain = []
+    turn = np.eye(3)
+    point = np.zeros(3)
+    last = np.zeros(3)
+    for length, offset, twist in zip((0.3, 1.0, 0.0, 1.5, 0.0, 0.0), (0, 0, 0.2, 0, 0, 0), (90, 1, 90, 1, 90, 1), strict=True):
+        chain.append((tuple(point - last), " ".join(f"{x:.12f}" for x in turn[:, 2])))
+        last = point
+        point = point + turn @ [length, 0.0, offset]
+        turn = turn @ Pose([0, 0, 0], rpy=[np.radians(twist), 0, 0]).rotation
+    arm = arm_of(tmp_path, chain, "-3.14159 3.14159")
+    found = solve_ik_all(arm, arm.fk([2.144, -2.798, 1.378, -1.946, 2.179, 0.249]))
+    assert len(found) == 16
+    assert found.is_complete

@@ -17,7 +17,7 @@ from synthetic import Shape, limb, motors, serial_arm
 
 import armctl
 from armctl import Via
-from armctl.motion.timing.waypoint_path import straight_runs
+from armctl.motion.timing.waypoint_path import arc_lengths, straight_runs
 
 N = 6
 
@@ -289,6 +289,15 @@ def test_the_same_dense_waypoints_give_the_same_bits(light):
     other = armctl.move_through(arm, q)
     assert one.knots.tobytes() == other.knots.tobytes()
     assert one.coefficients.tobytes() == other.coefficients.tobytes()
+
+
+def test_lengths_along_uneven_waypoints_of_a_circle_are_those_of_its_arc(light):
+    arm = with_bounds(light, 1.0, 25.0, 500.0)
+    angle = np.cumsum([0.0, 0.1, 0.15, 0.2, 0.1, 0.3, 0.25, 0.1, 0.2])
+    circle = np.zeros((len(angle), N))
+    circle[:, 0] = 2.0 * np.cos(angle)
+    circle[:, 1] = 2.0 * np.sin(angle)
+    assert arc_lengths(circle, arm.limits) == pytest.approx(2.0 * angle, abs=1e-4)
 
 
 def test_runs_end_at_corners_only():

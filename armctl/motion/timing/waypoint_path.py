@@ -121,7 +121,7 @@ def along_smooth_paths(q: Array, limits: Limits) -> list[Passage]:
     """
     if _is_straight(q):
         return [_straight(q, limits)]
-    found = [_along(q, _arc_lengths(q, limits), limits)]
+    found = [_along(q, arc_lengths(q, limits), limits)]
     chords = _chords(q, limits)
     if len(q) >= _MIN_RECORDED and chords.max() > _EVEN * chords.min():
         found.append(_along(q, chords.mean() * np.arange(len(q)), limits))
@@ -160,7 +160,7 @@ def _chords(q: Array, limits: Limits) -> Array:
     return np.linalg.norm(np.diff(q, axis=0) / limits.v_max, axis=1)
 
 
-def _arc_lengths(q: Array, limits: Limits) -> Array:
+def arc_lengths(q: Array, limits: Limits) -> Array:
     """(k,) the lengths of a smooth path from its start to each waypoint, in the unit of `_chords`.
 
     With the lengths of the chords as parameter, the speed of the spline changes where long and short chords alternate.
@@ -201,7 +201,7 @@ def _with_stops(q: Array, limits: Limits) -> Passage | None:
         return None
     passages: list[Passage] = []
     for part, is_curve in zip(parts, curves, strict=True):
-        passage = _along(part, _arc_lengths(part, limits), limits) if is_curve else _straight(part, limits)
+        passage = _along(part, arc_lengths(part, limits), limits) if is_curve else _straight(part, limits)
         if passage is None:
             return None
         passages.append(passage)
