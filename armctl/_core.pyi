@@ -140,6 +140,8 @@ class CollisionScene:
         their distance less their clearance (K,).
         """
 
+MAX_DEGREE: int = 5
+
 class Hit:
     """A pair that is not known to be free."""
 
@@ -430,6 +432,10 @@ class Solutions:
 
 NO_BRANCH: int = 27
 
+ROTATION_WEIGHT: float = 0.3333333333333333
+
+SAME_SOLUTION: float = 0.001
+
 class Chain:
     """
     The chain of an arm from its base to the tip, with k joints and n unknowns. Immutable.
@@ -676,6 +682,8 @@ class CFunctionLaw(Law):
 
     def __init__(self, address: int, *, n: int, parameters: numpy.ndarray, memory_size: int, needs_wrench: bool) -> None: ...
 
+BODY_PARAMETERS: int = 10
+
 class ComputedTorque(Law):
     """
     Computed torque; with weights of an estimate, at estimated positions and velocities.
@@ -827,6 +835,8 @@ def solve_program(
     """
     Minimizes x H x / 2 + f x subject to lower <= (x, M x) <= upper; whether there is a solution, which is written into x.
     """
+
+SINGULARITY_DAMPING: float = 0.001
 
 class OperationalSpace(Law):
     """Operational space control with a posture in the null space."""

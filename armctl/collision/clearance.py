@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from armctl._core import MAX_DEGREE
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.collision.interface import KeptAxis
@@ -17,7 +18,6 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm, check_arm
 
-MAX_DEGREE = 5  # of the polynomials in the core
 _NO_PAIRS_M = np.inf
 _UNKNOWN = np.nan
 _UNDECIDED_M = 3e-4  # a distance that exceeds the clearance by more was not the reason why a proof stopped

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from armctl import _core
+from armctl._core import BODY_PARAMETERS
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.gain_attribute import Gain
 from armctl.control.gains import MAX_BANDWIDTH
@@ -17,7 +18,6 @@ from armctl.core.errors import InputError
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
 
-BODY_PARAMETERS = 10  # mass, first and second moments of the payload
 FILTER_BANDWIDTH = 60.0  # rad/s, of each of two low-passes; above most motion, and below the noise of measured accelerations
 TORQUE_NOISE_SHARE = 0.01  # of the torque limits: standard deviation of torques that neither model nor payload explain
 FORGETTING_RATE = 0.2  # 1/s, while the reference moves and the estimate explains the torques

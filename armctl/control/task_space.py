@@ -2,12 +2,9 @@
 
 import numpy as np
 
+from armctl._core import SINGULARITY_DAMPING
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
-
-# Relative to the trace of the tip's mobility, (J M^-1 J^T). Directions of much smaller mobility count as singular.
-SINGULARITY_DAMPING = 1e-3
-
 
 POSE_SIZE = 6
 

@@ -146,7 +146,7 @@ private:
     Dynamics dynamics_;
     // The tip of an arm with fewer than six joints has a position as its goal.
     size_t components_ = options_.size == 6 ? 6 : 3;
-    DenseMatrix square_{components_, components_};
+    Mat square_{components_, components_};
     Numbers start_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros();
 };
 
@@ -230,7 +230,7 @@ private:
     Dynamics dynamics_;
     size_t n_ = options_.limits.size();
     Numbers bias_ = Numbers(n_), a_ = Numbers(n_);
-    DenseMatrix inertia_{n_, n_};
+    Mat inertia_{n_, n_};
 };
 
 }  // namespace armctl

@@ -61,7 +61,7 @@ struct Drive {
 struct ArmDescription {
     std::vector<Joint> joints;  // m, parents before children; those from the base to the tip come first
     std::vector<Drive> drives;  // n, that the motors drive
-    DenseMatrix ratio;          // (m, n): the positions of the joints are ratio q + their offsets
+    Mat ratio;                  // (m, n): the positions of the joints are ratio q + their offsets
     size_t chain_length = 0;    // the joints from the base to the tip
     Vec3 gravity;
     Pose T_last_tip;                 // of the tip in the last joint's frame
@@ -103,7 +103,7 @@ struct ArmModel {
 
     std::vector<Joint> joints;
     std::vector<Drive> drives;
-    DenseMatrix ratio;  // (m, n)
+    Mat ratio;  // (m, n)
     size_t chain_length = 0;
     Vec3 gravity;
     Pose T_last_tip;

@@ -28,7 +28,7 @@ struct CollisionPair {
 };
 
 struct CollisionDescription {
-    DenseMatrix ratio;                // (m, n): the positions of the m joints that move are ratio q + their offsets
+    Mat ratio;                        // (m, n): the positions of the m joints that move are ratio q + their offsets
     Numbers joint_offset;             // (m,)
     std::vector<MovingFrame> joints;  // each moves the frame of its own number + 1; parents come before children
     Vertices vertices;
@@ -120,7 +120,7 @@ private:
         return a;
     }
 
-    DenseMatrix ratio_;
+    Mat ratio_;
     Numbers joint_offset_;
 };
 

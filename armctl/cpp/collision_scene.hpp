@@ -385,7 +385,7 @@ private:
     std::shared_ptr<const CollisionModel> model_;
     std::vector<PlacedFrame> frames_;
     std::vector<Vec3> centers_;  // of the bounding spheres of the geoms
-    DenseMatrix motions_;        // of each geom, as each frame above it sees it
+    Mat motions_;                // of each geom, as each frame above it sees it
 };
 
 }  // namespace armctl

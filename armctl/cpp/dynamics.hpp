@@ -404,7 +404,7 @@ private:
     std::vector<Link> links_;
     // Scratch memory, (n,) each and (n, n).
     Numbers middle_position_, middle_velocity_, sum_, change_;
-    DenseMatrix inertia_, J_;
+    Mat inertia_, J_;
 };
 
 }  // namespace armctl

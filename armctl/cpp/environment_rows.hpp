@@ -99,7 +99,7 @@ public:
     // already throws InputError.
     //
     // Returns MuJoCo's message, if it could not make a step.
-    std::string step(size_t first, size_t last) {
+    [[nodiscard]] std::string step(size_t first, size_t last) {
         require_rows(first, last);
         std::vector<std::unique_lock<std::mutex>> locks;
         for (size_t row = first; row < last; ++row) {

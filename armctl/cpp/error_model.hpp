@@ -221,11 +221,11 @@ private:
 
     size_t n_;
     ChainKinematics kinematics_;
-    Twist error_;                 // weighted
-    std::vector<State> states_;   // (n,)
-    Numbers best_;                // the configuration that is kept
-    DenseMatrix normal_{n_, n_};  // the lower triangle of the Hessian
-    DenseMatrix factor_{n_, n_};  // L
+    Twist error_;                // weighted
+    std::vector<State> states_;  // (n,)
+    Numbers best_;               // the configuration that is kept
+    Mat normal_{n_, n_};         // the lower triangle of the Hessian
+    Mat factor_{n_, n_};         // L
 };
 
 }  // namespace armctl

@@ -41,7 +41,7 @@ public:
     bool needs_wrench() const { return needs_wrench_; }
 
     // The torque for the coming control period, (n,) N m. It ends for any numbers, throws nothing and allocates nothing.
-    virtual void torque(const State& state, const Setpoint& setpoint, Result tau) = 0;
+    virtual void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept = 0;
 
     // What the law keeps from tick to tick, such as integrals: 0 at the first tick of a run. Scratch is not part of it.
     Result memory() { return memory_; }
@@ -54,7 +54,7 @@ public:
     void reset() { std::ranges::fill(memory_, 0.0); }
 
     // The same law and gains with memory of its own, at the start of a run.
-    virtual std::unique_ptr<Law> clone() const = 0;
+    [[nodiscard]] virtual std::unique_ptr<Law> clone() const = 0;
 
 protected:
     explicit Law(size_t joints, size_t memory_size = 0, bool needs_wrench = false)
@@ -75,7 +75,7 @@ private:
 template <class ConcreteLaw>
 class Cloneable : public Law {  // NOLINT(bugprone-crtp-constructor-accessibility): laws have no default constructor
 public:
-    std::unique_ptr<Law> clone() const override {
+    [[nodiscard]] std::unique_ptr<Law> clone() const override {
         auto copy = std::make_unique<ConcreteLaw>(static_cast<const ConcreteLaw&>(*this));
         copy->reset();
         return copy;

@@ -1,39 +1,12 @@
-// Small dense matrices. Sums run from left to right, so the bits of a result depend on no library.
+// Linear algebra of small dense matrices. Sums run from left to right, so the bits of a result depend on no library.
 #pragma once
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include "spans.hpp"
+#include "mat.hpp"
 
 namespace armctl {
-
-using Numbers = std::vector<double>;
-
-// A matrix that owns its numbers, row by row.
-class DenseMatrix {
-public:
-    DenseMatrix() = default;
-    DenseMatrix(size_t rows, size_t columns) : rows_(rows), columns_(columns), numbers_(rows * columns) {}
-
-    double& operator()(size_t row, size_t column) { return numbers_[row * columns_ + column]; }
-    double operator()(size_t row, size_t column) const { return numbers_[row * columns_ + column]; }
-    Result row(size_t index) { return {numbers_.data() + index * columns_, columns_}; }
-    Vector row(size_t index) const { return {numbers_.data() + index * columns_, columns_}; }
-    Column column(size_t index) const { return {numbers_.data() + index, columns_}; }
-    size_t rows() const { return rows_; }
-    size_t columns() const { return columns_; }
-    operator MatrixResult() { return {numbers_.data(), rows_, columns_}; }
-    operator Matrix() const { return {numbers_.data(), rows_, columns_}; }
-    Result numbers() { return numbers_; }
-    Vector numbers() const { return numbers_; }
-    void set(Matrix other) { std::ranges::copy(other.numbers(), numbers_.begin()); }
-
-private:
-    size_t rows_ = 0;
-    size_t columns_ = 0;
-    Numbers numbers_;
-};
 
 inline void copy(Vector from, Result to) { std::ranges::copy(from, to.begin()); }
 

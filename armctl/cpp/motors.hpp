@@ -84,7 +84,7 @@ public:
     }
 
 private:
-    DenseMatrix commands_;  // ring buffer
+    Mat commands_;  // ring buffer
     size_t ticks_ = 0;
     size_t given_ = 0;  // commands since the start
 };

@@ -145,7 +145,7 @@ inline MujocoBatch* batch_of_thread(const MujocoApi& api) {
 //
 // Returns MuJoCo's message; empty if the object returned.
 template <class Work>
-std::string guarded(const MujocoApi& api, Work& work) {
+[[nodiscard]] std::string guarded(const MujocoApi& api, Work& work) {
     const auto call = [](const MujocoModel*, MujocoData*, int, void* argument) { (*static_cast<Work*>(argument))(); };
     MujocoBatch* batch = batch_of_thread(api);
     const int failures = api.apply(batch, nullptr, 0, call, &work, 0);

@@ -40,7 +40,7 @@ public:
 
     // Solves the program, and tells whether there is a solution. False if the constraints contradict each other, and after too
     // many changes of the active set, which no test found. If a number of the program is not finite, the result is arbitrary.
-    bool solve(const QuadraticProgram& program, Result x) {
+    [[nodiscard]] bool solve(const QuadraticProgram& program, Result x) {
         if (!set_up(program) || !find_nearest()) { return false; }
         copy(point_, x);
         backward_substitute(factor_, x);
@@ -48,7 +48,7 @@ public:
     }
 
     // The same, with costs in the place of the bounds that exclude zero, where a row of the constraints has a weight (n + m,).
-    bool solve_relaxed(const QuadraticProgram& program, Vector weights, Result x) {
+    [[nodiscard]] bool solve_relaxed(const QuadraticProgram& program, Vector weights, Result x) {
         relaxed_H_.set(program.H);
         copy(program.lower, relaxed_lower_);
         copy(program.upper, relaxed_upper_);
@@ -272,11 +272,11 @@ private:
     }
 
     size_t n_;
-    size_t rows_;                 // of the constraints
-    DenseMatrix factor_{n_, n_};  // L
-    DenseMatrix normals_{rows_, n_};
-    DenseMatrix basis_{n_, n_};                   // P: its first rows span the normals of the active constraints
-    DenseMatrix triangle_{n_, n_};                // T: its row j gives the normal of active constraint j in the basis
+    size_t rows_;         // of the constraints
+    Mat factor_{n_, n_};  // L
+    Mat normals_{rows_, n_};
+    Mat basis_{n_, n_};                           // P: its first rows span the normals of the active constraints
+    Mat triangle_{n_, n_};                        // T: its row j gives the normal of active constraint j in the basis
     Numbers low_ = Numbers(rows_), high_ = low_;  // bounds, scaled with the normals
     // Relative violation, from which a constraint enters; infinite while it is active, and without bounds.
     Numbers tolerances_ = low_;
@@ -288,7 +288,7 @@ private:
     std::vector<Constraint> active_;     // (n,), of which the first `count_` count
     size_t count_ = 0;
     // The program with costs in the place of bounds.
-    DenseMatrix relaxed_H_{n_, n_};
+    Mat relaxed_H_{n_, n_};
     Numbers relaxed_f_ = Numbers(n_), relaxed_lower_ = Numbers(rows_), relaxed_upper_ = relaxed_lower_;
 };
 

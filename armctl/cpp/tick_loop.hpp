@@ -104,7 +104,7 @@ public:
 
     // Runs the ticks with the law. Without a delay, the motors receive the command itself, and nothing pushes. The sensor measures
     // the wrench for a law that needs it. `touching` are the geoms that touch in the row before.
-    TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::string touching) {
+    [[nodiscard]] TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::string touching) {
         const std::unique_lock lock(in_use_, std::try_to_lock);
         if (!lock.owns_lock()) { throw InputError("simulation: another thread runs it; give each thread a simulation of its own"); }
         // What owns memory belongs to this call, which errors of MuJoCo do not leave.

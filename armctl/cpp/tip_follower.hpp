@@ -111,7 +111,7 @@ private:
     Dynamics dynamics_;
     std::vector<JointRange> ranges_;
     double centering_;
-    DenseMatrix square_;  // of the tip's Jacobian, weighted
+    Mat square_;  // of the tip's Jacobian, weighted
     std::array<double, 6> twist_{};
     Numbers velocity_;  // (n,)
 };

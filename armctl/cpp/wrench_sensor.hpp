@@ -82,7 +82,7 @@ private:
     Dynamics dynamics_;
     double dt_;
     double last_t_ = std::numeric_limits<double>::quiet_NaN();
-    DenseMatrix square_;
+    Mat square_;
     Numbers last_q_ = zeros(), last_v_ = zeros(), filtered_ = zeros(), acceleration_ = zeros(), needed_ = zeros();
 };
 

@@ -4,13 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl._core import Constraint
+from armctl._core import ROTATION_WEIGHT, Constraint
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.ik.problem import Problem
 
 # Of 760 000 targets with joints at their bounds, on 38 arms, the slowest was solved after 778 starts, the next after 366.
 LM_STARTS = 2000
-ROTATION_WEIGHT = 1 / 3  # reaches per rad, of the search: an error of 3 rad counts like an error of one reach
 # The search uses this share of the tolerances, so that rounding does not decide when the answer is measured.
 TOLERANCE_SHARE = 0.999
 NEARBY_TRIALS = 4

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl import _core
-from armctl._core import Constraint
+from armctl._core import SAME_SOLUTION, Constraint
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.ik import lm
 from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions
@@ -18,7 +18,6 @@ from armctl.ik.problem import IkChain, Problem
 MAX_SOLUTIONS_6R = 16
 MIN_REGULAR_SINGULAR_VALUE = 1e-6  # of the Jacobian in reaches per radian: above it a solution is isolated
 
-SAME_SOLUTION = 1e-3  # rad, or reaches: at a double root, a descent leaves 1e-5
 STARTS_PER_CALL = 32  # of the core
 PATIENCE = 300  # random starts without a new solution, after which the search ends
 SWEEP_PATIENCE = 12  # the same for each further sample of a sweep, which begins at the solutions of the sample before

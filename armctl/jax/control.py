@@ -7,11 +7,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from armctl._core import SINGULARITY_DAMPING
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.interface import MAX_PERIOD_S, checked_period
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
-from armctl.control.task_space import SINGULARITY_DAMPING
 from armctl.core.errors import InputError
 from armctl.core.trajectory import TickReference, Trajectory, check_trajectory
 from armctl.core.validation import flag, instance, integer, number

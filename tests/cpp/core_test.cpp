@@ -3,18 +3,35 @@
 #include <mujoco/mujoco.h>
 
 #include <cstddef>
+#include <cstdlib>
 #include <limits>
 #include <memory>
+#include <new>
 #include <stdexcept>
 #include <vector>
 
 #include "checks.hpp"
 #include "laws/computed_torque.hpp"
-#include "laws/computed_torque_qp.hpp"
+#include "laws/computed_torque_observer.hpp"
+#include "laws/impedance.hpp"
+#include "laws/mpc.hpp"
 #include "laws/pd.hpp"
 #include "tick_loop.hpp"
 
 using namespace armctl;
+
+namespace {
+size_t allocations = 0;
+}  // namespace
+
+void* operator new(size_t size) {
+    ++allocations;
+    void* memory = std::malloc(size);
+    if (memory == nullptr) { throw std::bad_alloc(); }
+    return memory;
+}
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, size_t) noexcept { std::free(memory); }
 
 namespace {
 
@@ -71,7 +88,7 @@ Model make_arm() {
         },
     };
     arm.drives = {{.armature = 0.1, .damping = {.linear = 0.5}}, {.armature = 0.05, .damping = {.linear = 0.2}}};
-    arm.ratio = DenseMatrix(n, n);
+    arm.ratio = Mat(n, n);
     set_identity(arm.ratio);
     arm.chain_length = n;
     arm.gravity = {0.0, 0.0, -9.81};
@@ -218,6 +235,45 @@ void a_clone_begins_a_run_of_its_own() {
     checks::that(later != first, "the tick after it depends on the memory");
 }
 
+ComputedTorqueQPGains limits() {
+    return {
+        .stiffness = 400.0,
+        .damping = 40.0,
+        .added_damping = Numbers(n),
+        .decay_rate = 20.0,
+        .torque_limit = Numbers(n, 20.0),
+        .q_min = Numbers(n, -1.0),
+        .q_max = Numbers(n, 1.0),
+        .v_max = Numbers(n, 1.0),
+        .a_max = Numbers(n, 20.0),
+        .length = 0.8,
+        .dt = dt,
+    };
+}
+
+// At states far from the reference, so that the limits act.
+void a_torque_allocates_nothing_and_keeps_its_limits() {
+    const EstimateGains estimate{.position_weight = 0.5, .velocity_weight = 0.2, .dt = dt};
+    std::vector<std::unique_ptr<Law>> laws;
+    laws.push_back(
+        std::make_unique<ComputedTorqueObserver>(make_arm(), ComputedTorqueObserverGains{400.0, 40.0, 0.1, Numbers(n, 20.0), estimate}));
+    laws.push_back(std::make_unique<Impedance>(make_arm(), ImpedanceGains{Numbers(6, 100.0), Numbers(6, 1.0), Numbers(n, 1.0), 1.0}));
+    laws.push_back(std::make_unique<ComputedTorqueQP>(make_arm(), limits()));
+    laws.push_back(std::make_unique<MPC>(make_arm(), MPCGains{limits(), {2, 4, 8}, Numbers(n, 1e30)}));
+    const Numbers rest(n);
+    Numbers tau(n);
+    for (const std::unique_ptr<Law>& law : laws) {
+        for (const auto& q : configurations) {
+            const Setpoint setpoint{.q = rest, .v = rest, .a = rest, .v_tick = rest, .a_tick = rest};
+            const size_t before = allocations;
+            law->torque({.q = q, .v = rest, .wrench = {}}, setpoint, tau);
+            checks::that(allocations == before, "a torque allocates nothing");
+            checks::that(std::isfinite(tau[0]) && std::isfinite(tau[1]), "a torque is finite");
+        }
+    }
+    for (const double torque : tau) { checks::that(std::abs(torque) <= 20.0, "a torque is within its limit"); }
+}
+
 // The arrays of a trajectory that stays at a place, and the records of a loop.
 struct Recording {
     explicit Recording(size_t count, const std::array<double, n>& place)
@@ -241,7 +297,7 @@ struct Recording {
         };
     }
 
-    DenseMatrix q, rest, qpos, v, command, torque;
+    Mat q, rest, qpos, v, command, torque;
 };
 
 TickLoopOptions loop_options() {
@@ -313,6 +369,7 @@ int main() {
     the_inverse_dynamics_move_mujocos_arm_as_asked();
     wrong_gains_are_one_sentence();
     a_clone_begins_a_run_of_its_own();
+    a_torque_allocates_nothing_and_keeps_its_limits();
     a_loop_follows_the_formula_of_its_law();
     a_delay_gives_the_motors_what_was_commanded_before();
     a_loop_ends_where_something_is_wrong();

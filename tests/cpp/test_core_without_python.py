@@ -22,7 +22,7 @@ def test_a_program_in_cpp_uses_the_core_without_python(tmp_path: Path):
         pytest.skip("there is no C++ compiler, or none of the kind that MuJoCo's library is for")
     sanitizers = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"]
     program = tmp_path / "core_test"
-    command = [compiler, "-std=c++20", "-O1", "-Wall", "-ffp-contract=off"]
+    command = [compiler, "-std=c++20", "-O1", "-ffp-contract=off"]
     command += sanitizers if "ARMCTL_SANITIZED_CORE" in os.environ else []
     command += [f"-I{CORE}", f"-I{MUJOCO / 'include'}", str(HERE / "core_test.cpp"), "-o", str(program)]
     command += [str(libraries[0]), f"-Wl,-rpath,{MUJOCO}"]

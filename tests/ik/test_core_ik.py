@@ -5,8 +5,7 @@ import pytest
 from arms import ARMS, arm_of, some_of
 
 from armctl import Arm, InputError, _core
-from armctl._core import AxesRelation, Constraint
-from armctl.ik.lm import ROTATION_WEIGHT
+from armctl._core import ROTATION_WEIGHT, AxesRelation, Constraint
 from armctl.ik.problem import ik_chain
 
 pytestmark = pytest.mark.core

@@ -44,13 +44,13 @@ size_t Arguments::length(const char* name, int axis) const {
     return array.length(name, axis);
 }
 
-DenseMatrix Arguments::matrix(const char* name) const {
+Mat Arguments::matrix(const char* name) const {
     In array;
     array.acquire(value(*given_, name));
     const bool is_stack = array.dimensions() == 3;
     const size_t first = array.length(name);
     const size_t second = array.length(name, 1);
-    DenseMatrix matrix(is_stack ? first * second : first, is_stack ? array.length(name, 2) : second);
+    Mat matrix(is_stack ? first * second : first, is_stack ? array.length(name, 2) : second);
     copy(is_stack ? array.shaped({first, second, matrix.columns()}, name) : array.shaped({first, second}, name), matrix.numbers());
     return matrix;
 }

@@ -54,7 +54,7 @@ public:
     Integers integers(const char* name) const { return integers(length(name), name); }
 
     // A copy of an array of any length and of two dimensions, or of three, of which the first two become rows.
-    DenseMatrix matrix(const char* name) const;
+    Mat matrix(const char* name) const;
 
 private:
     bool is_there(const char* name) const;
@@ -85,7 +85,7 @@ public:
     size_t length(const char* name, int = 0) { return note(name, array_type), 0; }
     Numbers numbers(const char* name) { return note(name, array_type), Numbers(); }
     Integers integers(const char* name) { return note(name, array_type), Integers(); }
-    DenseMatrix matrix(const char* name) { return note(name, array_type), DenseMatrix(); }
+    Mat matrix(const char* name) { return note(name, array_type), Mat(); }
 
     template <class Number>
     std::span<Number> array(std::initializer_list<size_t> shape, const char* name) {

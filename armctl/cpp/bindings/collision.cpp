@@ -186,6 +186,7 @@ std::optional<Hit> find_hit(ClearanceProof& proof, double clearance, std::option
 }
 
 void bind_proof(nb::module_& module) {
+    module.attr("MAX_DEGREE") = PolynomialMotion::MAX_DEGREE;
     nb::class_<Hit>(module, "Hit", "A pair that is not known to be free.")
         .def_ro("pair", &Hit::pair, "Its row; the number of pairs says that the kept axis tilts.")
         .def_ro("time", &Hit::time, "s");

@@ -168,6 +168,8 @@ void bind_chain(nb::module_& module) {
         .def_ro("samples", &Solutions::samples, "Positions of the joint that is swept; 1 for six joints.")
         .def_ro("doubtful", &Solutions::doubtful, "Whether the closed form may have missed some.");
     module.attr("NO_BRANCH") = NO_BRANCH;
+    module.attr("ROTATION_WEIGHT") = ROTATION_WEIGHT;
+    module.attr("SAME_SOLUTION") = SAME_SOLUTION;
     nb::class_<Chain> chain(module, "Chain",
                             "The chain of an arm from its base to the tip, with k joints and n unknowns. Immutable.\n\n"
                             "Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last "
@@ -223,7 +225,7 @@ Solutions solve_with_closed_form(const ClosedForm& closed_form, const In& target
     };
     const Target goal{pose_of(target.shaped({4, 3}, "target")), Constraint::pose, {position_tolerance, orientation_tolerance}};
     const Sweep sweep{positions.vector(positions.length("positions"), "positions"), least, wanted};
-    DenseMatrix seeds(room, n);
+    Mat seeds(room, n);
     const Vector start = q0.vector(n, "q0");
     const Seeds found = closed_form.find(goal.pose, start, slack, margin, sweep, seeds);
     IkSolver solver(closed_form.chain());
@@ -241,7 +243,7 @@ void find_first(const ClosedForm& closed_form, const In& targets, const In& q0, 
     const MatrixResult results = q.matrix(count, n, "q");
     const auto are_found = found.vector(count, "found");
     const Sweep sweep{.positions = positions.vector(positions.length("positions"), "positions"), .least = 1, .wanted = 1};
-    DenseMatrix seeds(MAX_CONFIGURATIONS, n);
+    Mat seeds(MAX_CONFIGURATIONS, n);
     for (size_t t = 0; t < count; ++t) {
         const Seeds solved = closed_form.find(pose_of(goals.row(t)), q0.vector(n, "q0"), slack, margin, sweep, seeds);
         are_found[t] = solved.count > 0 ? 1 : 0;

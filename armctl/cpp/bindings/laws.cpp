@@ -239,6 +239,7 @@ MPCGains mpc_gains(Given& given) {
 }
 
 void bind_computed_torque(nb::module_& module) {
+    module.attr("BODY_PARAMETERS") = body_parameters;
     bind_law_of_arm<ComputedTorque>(module, "ComputedTorque",
                                     "Computed torque; with weights of an estimate, at estimated positions and velocities.",
                                     [](auto& given) { return computed_torque_gains(given); });
@@ -284,6 +285,7 @@ void bind_qp(nb::module_& module) {
 }
 
 void bind_operational_space(nb::module_& module) {
+    module.attr("SINGULARITY_DAMPING") = singularity_damping;
     const auto read = [](auto& given) {
         return OperationalSpaceGains{
             .stiffness = given.number("stiffness"),

@@ -25,7 +25,7 @@ public:
         require_size(gains_.stiffness, 6, "stiffness");
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         const Vector v_ref = setpoint.v_tick;
         yield(state.wrench);
         task_.measure(state.q, setpoint.q);
@@ -44,9 +44,7 @@ public:
                 gains_.bandwidth * gains_.bandwidth * error + 2.0 * gains_.bandwidth * task_.error_rate(k, v_ref, state.v, rate()[k]);
         }
         task_.torque(state, setpoint.a_tick, motion_, posture_, v_offset_, v_offset_, tau);
-        for (size_t i = 0; i < tau.size(); ++i) {
-            for (size_t k = 0; k < motion_.size(); ++k) { tau[i] -= task_.J(k, i) * filtered_wrench()[k]; }
-        }
+        tau -= transposed(task_.J.top(motion_.size())) * filtered_wrench();
     }
 
     // x_c, the displacement of the reference, (6,) m and rad.

@@ -25,7 +25,7 @@ public:
         : Cloneable(options.n, options.memory_size, options.needs_wrench), function_(function), parameters_(std::move(options.parameters)) {
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         const std::array<Vector, 5> rows{setpoint.q, setpoint.v, setpoint.a, setpoint.v_tick, setpoint.a_tick};
         for (size_t k = 0; k < rows.size(); ++k) { copy(rows[k], reference_.row(k)); }
         std::array<double, 6> wrench{};
@@ -37,7 +37,7 @@ public:
 private:
     LawFunction function_;
     Numbers parameters_;
-    DenseMatrix reference_{5, joints()};
+    Mat reference_{5, joints()};
 };
 
 }  // namespace armctl

@@ -106,7 +106,7 @@ public:
     ComputedTorque(const Model& model, ComputedTorqueGains gains)
         : Cloneable(model->n(), gains.memory_size(model->n())), control_(model, std::move(gains)) {}
 
-    void torque(const State& measured, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& measured, const Setpoint& setpoint, Result tau) noexcept override {
         const State state = control_.feed_back(measured, setpoint, memory());
         control_.torque(state, setpoint, memory(), tau);
     }

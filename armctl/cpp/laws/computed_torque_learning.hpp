@@ -77,7 +77,7 @@ public:
         require_size(gains_.prior_deviations, p_, "prior_deviations");
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         DisturbanceObserver::Memory observed(memory(), joints());
         Memory memory = parts(observed);
         const bool is_first = !observed.motion.has_begun();
@@ -226,7 +226,7 @@ private:
     size_t p_ = unknown_count(joints());
     DisturbanceObserver observer_;
     ComputedTorqueLearningGains gains_;
-    DenseMatrix factors_{p_, p_};
+    Mat factors_{p_, p_};
     Numbers previous_estimate_ = Numbers(p_);
     Numbers rate_ = zeros();  // (n,) N m/s, of the torque that the reference needs
 };

@@ -108,7 +108,7 @@ public:
     ComputedTorqueObserver(const Model& model, ComputedTorqueObserverGains gains)
         : Cloneable(model->n(), DisturbanceObserver::memory_size(model->n())), observer_(model, std::move(gains)) {}
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         DisturbanceObserver::Memory parts(memory(), joints());
         observer_.observe(state, parts);
         observer_.control(setpoint, parts, tau);

@@ -86,8 +86,8 @@ public:
     }
 
     Numbers desired;                       // acceleration, (n,)
-    DenseMatrix H;                         // the cost of deviations from it
-    DenseMatrix M;                         // inertia
+    Mat H;                                 // the cost of deviations from it
+    Mat M;                                 // inertia
     double brake_share = min_brake_share;  // of the torque limit, the least with which a joint is taken to brake before a limit
 
 private:
@@ -140,16 +140,12 @@ private:
 
     // The squared deviation of the tip, with the weights above; J is overwritten.
     void set_metric() {
-        const size_t n = this->n();
-        for (size_t i = 0; i < n; ++i) {
-            for (size_t k = 3; k < 6; ++k) { J_(k, i) *= rotation_weight * gains_.length; }
+        for (size_t k = 3; k < 6; ++k) {
+            for (double& each : J_.row(k)) { each *= rotation_weight * gains_.length; }
         }
-        for (size_t i = 0; i < n; ++i) {
-            for (size_t j = 0; j < n; ++j) {
-                H(i, j) = i == j ? (joint_weight * gains_.length) * (joint_weight * gains_.length) : 0.0;
-                for (size_t k = 0; k < 6; ++k) { H(i, j) += J_(k, i) * J_(k, j); }
-            }
-        }
+        std::ranges::fill(H.numbers(), 0.0);
+        for (size_t i = 0; i < n(); ++i) { H(i, i) = (joint_weight * gains_.length) * (joint_weight * gains_.length); }
+        H += J_.transposed() * J_;
     }
 
     // Changes acceleration and torque so that the tip follows its own feedback law, by a share of the feedback at most.
@@ -160,10 +156,8 @@ private:
         const double square = dot(offset_, offset_);
         if (square == 0.0) { return; }
         const double share = std::min(1.0, max_tip_share * std::sqrt(feedback / square));
-        for (size_t i = 0; i < n(); ++i) {
-            desired[i] += share * offset_[i];
-            for (size_t k = 0; k < n(); ++k) { tau[i] += share * M(i, k) * offset_[k]; }
-        }
+        for (size_t i = 0; i < n(); ++i) { desired[i] += share * offset_[i]; }
+        tau += share * M * offset_;
     }
 
     // The bounds of the deviation and of its torque; whether zero is outside.
@@ -213,7 +207,7 @@ private:
     ComputedTorqueQPGains gains_;
     InverseDynamicsControl control_;
     Dynamics start_;  // of the control period
-    DenseMatrix J_, factors_;
+    Mat J_, factors_;
     Numbers offset_;     // J^T c: c is what the tip's acceleration lacks of its own feedback law
     Numbers deviation_;  // from the desired acceleration
     // The bounds of the deviation and of its torque, and the weights of the former where they cannot be respected.
@@ -225,7 +219,7 @@ class ComputedTorqueQP final : public Cloneable<ComputedTorqueQP> {
 public:
     ComputedTorqueQP(const Model& model, ComputedTorqueQPGains gains) : Cloneable(model->n()), program_(model, std::move(gains)) {}
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         program_.begin(state, setpoint, tau);
         program_.limit(state, tau);
     }

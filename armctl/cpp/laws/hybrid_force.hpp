@@ -56,7 +56,7 @@ public:
                                    [this](size_t k) { return gains_.axes.targets[k] == 0.0 || ForceAxis(axis_memory(k)).touches != 0.0; });
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         const Vector v_ref = setpoint.v_tick;
         const Vector a_ref = setpoint.a_tick;
         filter_velocity(state.v);
@@ -80,7 +80,7 @@ public:
         task_.torque(filtered, a_ref, controlled(motion_), posture_, v_corrected_, v_friction_, tau);
         Vector6 wrench = along_force_axes(&AxisCommand::force);
         subtract_compensated_wrench(state.wrench, wrench);
-        for (size_t i = 0; i < tau.size(); ++i) { tau[i] = dot(task_.J.column(i), wrench, tau[i]); }
+        tau += task_.J.transposed() * wrench;
     }
 
 private:

@@ -30,21 +30,23 @@ public:
         gains_.stiffness = std::move(stiffness);
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         const Vector v_ref = setpoint.v_tick;
         const Vector a_ref = setpoint.a_tick;
-        const DenseMatrix& J = task_.J;
+        const Mat& J = task_.J;
         task_.measure(state.q, setpoint.q);
         find_posture_stiffness();
         for (size_t i = 0; i < tau.size(); ++i) {
+            error_[i] = setpoint.q[i] - state.q[i];
             error_rate_[i] = v_ref[i] - state.v[i];
             feedback_[i] = 0.0;
-            for (size_t k = 0; k < tau.size(); ++k) {
-                feedback_[i] += K_(i, k) * (setpoint.q[k] - state.q[k]);
-                for (size_t j = 0; j < 6; ++j) { K_(i, k) += gains_.stiffness[j] * J(j, i) * J(j, k); }
-            }
-            for (size_t j = 0; j < 6; ++j) { feedback_[i] += J(j, i) * gains_.stiffness[j] * clipped(task_.error[j], gains_.max_error[j]); }
         }
+        Vector6 stretch{};
+        for (size_t j = 0; j < 6; ++j) { stretch[j] = clipped(task_.error[j], gains_.max_error[j]); }
+        const Diagonal stiffness{gains_.stiffness};
+        Result(feedback_) += K_ * error_;
+        Result(feedback_) += J.transposed() * stiffness * stretch;
+        K_ += transposed(stiffness * J) * J;
         add_critical_damping();
         task_.dynamics.inverse_dynamics(state.q, state.v, a_ref, tau);
         task_.dynamics.add_linear_damping(error_rate_, tau);
@@ -55,29 +57,18 @@ public:
 private:
     // K = N^T diag(springs) N with N = 1 - M^-1 J^T (J M^-1 J^T)^-1 J: the posture springs in the null space of the tip.
     void find_posture_stiffness() {
-        const size_t n = joints();
-        for (size_t i = 0; i < n; ++i) {
-            Vector6 inverse{};  // a row of the dynamically consistent inverse
-            copy(task_.responses.row(i), inverse);
-            solve(task_.factors, inverse);
-            for (size_t k = 0; k < n; ++k) {
-                null_space_(i, k) = i == k ? 1.0 : 0.0;
-                for (size_t j = 0; j < 6; ++j) { null_space_(i, k) -= inverse[j] * task_.J(j, k); }
-            }
-        }
-        for (size_t i = 0; i < n; ++i) {
-            for (size_t k = 0; k < n; ++k) {
-                K_(i, k) = 0.0;
-                for (size_t j = 0; j < n; ++j) { K_(i, k) += gains_.posture_stiffness[j] * null_space_(j, i) * null_space_(j, k); }
-            }
-        }
+        inverse_ = task_.responses;
+        for (size_t i = 0; i < joints(); ++i) { solve(task_.factors, inverse_.row(i)); }
+        set_identity(null_space_);
+        null_space_ -= inverse_ * task_.J;
+        K_ = transposed(Diagonal{gains_.posture_stiffness} * null_space_) * null_space_;
     }
 
     // Adds 2 ratio L (L^-1 K L^-T)^1/2 L^T rate, with the Cholesky factor L of M: it damps every mode of M and K equally.
     void add_critical_damping() {
         const size_t n = joints();
         take_roots(task_.inertia);
-        const DenseMatrix& L = task_.inertia;
+        const Mat& L = task_.inertia;
         for (int side = 0; side < 2; ++side) {  // L^-1 K, then L^-1 K L^-T; K is symmetric
             for (size_t k = 0; k < n; ++k) { forward_substitute(L, K_.row(k)); }
             for (size_t k = 0; k < n; ++k) {
@@ -101,10 +92,11 @@ private:
 
     ImpedanceGains gains_;
     TaskSpace task_;
-    DenseMatrix null_space_{joints(), joints()};  // projection
-    DenseMatrix K_{joints(), joints()};           // stiffness as seen by the joints, then that of the modes
-    DenseMatrix modes_{joints(), joints()};
-    Numbers error_rate_ = zeros(), scaled_rate_ = zeros(), feedback_ = zeros();
+    Mat inverse_{joints(), 6};            // the dynamically consistent one of the Jacobian
+    Mat null_space_{joints(), joints()};  // projection
+    Mat K_{joints(), joints()};           // stiffness as seen by the joints, then that of the modes
+    Mat modes_{joints(), joints()};
+    Numbers error_ = zeros(), error_rate_ = zeros(), scaled_rate_ = zeros(), feedback_ = zeros();
 };
 
 }  // namespace armctl

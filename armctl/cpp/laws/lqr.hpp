@@ -7,8 +7,8 @@
 namespace armctl {
 
 struct LQRGains {
-    DenseMatrix nodes;     // (k, n) rad, configurations
-    DenseMatrix feedback;  // (k n, 3n) 1/s^2, 1/s and 1/s^3, the n rows of each node one after the other
+    Mat nodes;             // (k, n) rad, configurations
+    Mat feedback;          // (k n, 3n) 1/s^2, 1/s and 1/s^3, the n rows of each node one after the other
     Numbers torque_limit;  // (n,) N m, of the motors
     EstimateGains estimate;
 };
@@ -28,7 +28,7 @@ public:
         }
     }
 
-    void torque(const State& measured, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& measured, const Setpoint& setpoint, Result tau) noexcept override {
         const State state = control_.feed_back(measured, setpoint, memory());
         correct(setpoint.q);
         control_.torque(state, setpoint, memory(), tau);
@@ -72,8 +72,8 @@ private:
     }
 
     InverseDynamicsControl control_;
-    DenseMatrix nodes_;
-    DenseMatrix feedback_;
+    Mat nodes_;
+    Mat feedback_;
     Numbers growth_ = zeros();  // of the integral's acceleration, rad/s^3
 };
 

@@ -35,7 +35,7 @@ public:
         predict(this->gains().continuous ? 0.5 : 1.0);
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         const Setpoint nearer = attainable(state, setpoint);
         program_.begin(state, nearer, tau);
         plan(state, nearer, tau);
@@ -103,7 +103,7 @@ private:
     }
 
     const ComputedTorqueQPGains& gains() const { return program_.gains(); }
-    DenseMatrix square() const { return {joints(), joints()}; }
+    Mat square() const { return {joints(), joints()}; }
     static size_t memory_size(size_t n, size_t blocks) { return counters + n + n * blocks; }
     size_t blocks() const { return ticks_.size(); }
     size_t size() const { return blocks() * joints(); }
@@ -268,14 +268,12 @@ private:
         const size_t n = joints();
         const Result last = memory(counters, n);
         bool is_limited = false;
+        for (size_t each = 0; each < blocks(); ++each) {  // c changes neither q nor v of the first tick
+            const Response& of = node.of[each];
+            rows_.set_block(block * 3 * n, each * n, of.acceleration * inertia_ - of.rate * of_v_ - of.error * of_q_);
+        }
         for (size_t i = 0; i < n; ++i) {
             const size_t row = block * 3 * n + i;
-            for (size_t each = 0; each < blocks(); ++each) {  // c changes neither q nor v of the first tick
-                const Response& of = node.of[each];
-                for (size_t j = 0; j < n; ++j) {
-                    rows_(row, each * n + j) = of.acceleration * inertia_(i, j) - of.rate * of_v_(i, j) - of.error * of_q_(i, j);
-                }
-            }
             if (block > 0) { tau_[i] -= dot(rows_.row(row), c()); }
             double lower = -gains().torque_limit[i];
             double upper = gains().torque_limit[i];
@@ -381,12 +379,12 @@ private:
     std::vector<Node> nodes_;
     size_t rates_;  // rows of the torque rate
     ActiveSetSolver solver_;
-    DenseMatrix squares_{blocks(), blocks()};  // of the weights of two blocks, summed over the horizon
-    DenseMatrix inertia_ = square(), cost_{size(), size()}, rows_{3 * size() + rates_, size()};
+    Mat squares_{blocks(), blocks()};  // of the weights of two blocks, summed over the horizon
+    Mat inertia_ = square(), cost_{size(), size()}, rows_{3 * size() + rates_, size()};
     Numbers q_target_ = zeros(), v_target_ = zeros(), a_target_ = zeros(), too_far_ = zeros();
     Numbers error_ = zeros(), rate_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros(), v_ref_ = zeros(), a_ref_ = zeros(), tau_ = zeros(),
             tau_before_ = zeros(), tau_of_step_ = zeros(), added_ = zeros();
-    DenseMatrix of_q_ = square(), of_v_ = square();  // slopes of the torque
+    Mat of_q_ = square(), of_v_ = square();  // slopes of the torque
     Numbers lower_ = Numbers(4 * size() + rates_, -unbounded), upper_ = Numbers(4 * size() + rates_, unbounded);
     Numbers weights_ = Numbers(4 * size() + rates_);
 };

@@ -20,7 +20,7 @@ class OperationalSpace final : public Cloneable<OperationalSpace> {
 public:
     OperationalSpace(const Model& model, const OperationalSpaceGains& gains) : Cloneable(model->n()), gains_(gains), task_(model, 6) {}
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         const Vector v_ref = setpoint.v_tick;
         task_.measure(state.q, setpoint.q);
         for (size_t i = 0; i < tau.size(); ++i) {

@@ -24,7 +24,7 @@ class PD final : public Cloneable<PD> {
 public:
     explicit PD(PDGains gains) : Cloneable(gains.stiffness.size()), gains_(std::move(gains)) { gains_.check(joints()); }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] = gains_.torque(i, state, setpoint.q[i], setpoint.v[i]); }
     }
 
@@ -39,7 +39,7 @@ public:
         gains_.check(joints());
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         dynamics_.inverse_dynamics(setpoint.q, setpoint.v_tick, setpoint.a_tick, tau);
         dynamics_.add_friction(setpoint.v_tick, setpoint.a_tick, tau);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += gains_.torque(i, state, setpoint.q[i], setpoint.v_tick[i]); }
@@ -59,7 +59,7 @@ public:
         gains_.check(joints());
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         dynamics_.gravity(state.q, tau);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += gains_.torque(i, state, setpoint.q[i], setpoint.v[i]); }
     }

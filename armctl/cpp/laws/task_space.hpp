@@ -85,11 +85,11 @@ struct TaskSpace {
 
     Dynamics dynamics;
     size_t n = dynamics.model().n();
-    DenseMatrix J{6, n};          // at the measured configuration
-    DenseMatrix J_ref{6, n};      // at the reference
-    DenseMatrix inertia{n, n};    // the factors of the mass matrix
-    DenseMatrix responses{n, 6};  // M^-1 J^T
-    DenseMatrix factors;          // (rows, rows) of the tip's mobility, damped near singular configurations
+    Mat J{6, n};                  // at the measured configuration
+    Mat J_ref{6, n};              // at the reference
+    Mat inertia{n, n};            // the factors of the mass matrix
+    Mat responses{n, 6};          // M^-1 J^T
+    Mat factors;                  // (rows, rows) of the tip's mobility, damped near singular configurations
     Vector6 error{};              // m and rad, translation and rotation vector of the tip to its reference, world axes
     Numbers column = Numbers(n);  // scratch
 };

@@ -18,7 +18,7 @@ public:
     InnerLaw& operator=(const InnerLaw&) = delete;
 
     // The torque of the inner law, from the memory of the outer one. Returns whether this is the first tick of a run.
-    bool torque(const State& state, const Setpoint& setpoint, Result memory, Result tau) {
+    [[nodiscard]] bool torque(const State& state, const Setpoint& setpoint, Result memory, Result tau) {
         const Result inner_memory = memory.subspan(1 + own_);
         copy(inner_memory, law_->memory());
         law_->torque(state, setpoint, tau);
@@ -68,7 +68,7 @@ public:
         : Cloneable(filtered->joints(), InnerLaw::memory_size(*filtered, state_size(*filtered, sections)), filtered->needs_wrench()),
           inner_(filtered, state_size(*filtered, sections)), sections_(std::move(sections)) {}
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         const bool is_first = inner_.torque(state, setpoint, memory(), tau);
         Result states = inner_.own(memory());
         for (const Biquad& section : sections_) {
@@ -105,7 +105,7 @@ public:
         for (double& change : max_change_) { change *= dt; }
     }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept override {
         const bool is_first = inner_.torque(state, setpoint, memory(), tau);
         const Result last = inner_.own(memory());
         for (size_t i = 0; i < tau.size(); ++i) {
