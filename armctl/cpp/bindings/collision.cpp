@@ -31,6 +31,7 @@ std::vector<MovingFrame> moving_frames(Given& given, size_t m) {
     const Integers parents = given.integers(m, "parents");
     const Integers joints = given.integers(m, "joints");
     std::vector<MovingFrame> frames;
+    frames.reserve(m);
     for (size_t i = 0; i < m; ++i) {
         frames.push_back({
             .axis = vec3(axes.row(i)),
@@ -58,6 +59,7 @@ std::vector<Geom> geoms_of(Given& given) {
     const Vector radii = given.vector(G, "radii");
     const Integers starts = given.integers(G + 1, "first_vertex");
     std::vector<Geom> geoms;
+    geoms.reserve(G);
     for (size_t g = 0; g < G; ++g) {
         geoms.push_back({
             .kind = static_cast<ShapeKind>(checked_index(kinds[g], 5, "kinds")),
@@ -80,6 +82,7 @@ template <class Given>
 std::vector<Vec3> points(Given& given, const char* name) {
     const Matrix rows = given.matrix(given.length(name), 3, name);
     std::vector<Vec3> points;
+    points.reserve(rows.rows);
     for (size_t i = 0; i < rows.rows; ++i) { points.push_back(vec3(rows.row(i))); }
     return points;
 }
@@ -90,6 +93,7 @@ std::vector<CollisionPair> pairs_of(Given& given) {
     const Integers second_geoms = given.integers(first_geoms.size(), "second_geoms");
     const Vector margins = given.vector(first_geoms.size(), "margins");
     std::vector<CollisionPair> pairs;
+    pairs.reserve(margins.size());
     for (size_t p = 0; p < margins.size(); ++p) {
         pairs.push_back({.a = static_cast<size_t>(first_geoms[p]), .b = static_cast<size_t>(second_geoms[p]), .margin = margins[p]});
     }

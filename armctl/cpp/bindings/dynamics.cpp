@@ -67,6 +67,7 @@ std::vector<Drive> drives_of(Given& given, size_t n) {
     const Vector gain = given.vector(n, "friction_gain");
     const Vector rate = given.vector(n, "friction_rate");
     std::vector<Drive> drives;
+    drives.reserve(n);
     for (size_t i = 0; i < n; ++i) {
         drives.push_back({.armature = armature[i], .damping = polynomial(damping.row(i)), .friction = {loss[i], gain[i], rate[i]}});
     }

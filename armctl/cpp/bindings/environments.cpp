@@ -49,6 +49,7 @@ std::vector<GripperActuator> gripper_of(Given& given) {
     const Integers length = given.integers(ctrl.size(), "gripper_length");
     const Matrix ends = given.matrix(4, ctrl.size(), "gripper_ends");
     std::vector<GripperActuator> gripper;
+    gripper.reserve(ctrl.size());
     for (size_t k = 0; k < ctrl.size(); ++k) {
         gripper.push_back({address(ctrl[k]), address(length[k]), ends(0, k), ends(1, k), ends(2, k), ends(3, k)});
     }

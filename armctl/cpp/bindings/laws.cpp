@@ -121,6 +121,7 @@ void bind_around_laws(nb::module_& module) {
     const auto read_sections = [](auto& given) {
         const Matrix rows = given.matrix(given.length("sections"), 6, "sections");
         std::vector<Biquad> sections;
+        sections.reserve(rows.rows);
         for (size_t k = 0; k < rows.rows; ++k) {
             sections.push_back({.b0 = rows(k, 0), .b1 = rows(k, 1), .b2 = rows(k, 2), .a1 = rows(k, 4), .a2 = rows(k, 5)});
         }
