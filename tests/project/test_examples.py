@@ -71,7 +71,7 @@ def test_an_example_runs(example: Path, tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.full
 @pytest.mark.parametrize("example", APART, ids=lambda path: path.stem)
 def test_an_example_with_another_framework_runs(example: Path, tmp_path: Path):
-    done = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True, timeout=1200)
     if done.returncode != 0 and MISSING in done.stderr:
         pytest.skip(f"{done.stderr.split('ModelError: ')[-1].split(':')[0]}: {MISSING}")
     if done.returncode != 0 and done.stderr.rstrip().endswith(NOT_INSTALLED):
