@@ -37,7 +37,7 @@ def test_both_sides_show_the_springs_with_noise_of_encoders(recorded):
     assert found.elasticity == pytest.approx(STIFFNESS, rel=0.02)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_motors_alone_show_springs_within_the_stated_errors_or_it_is_said(recorded):
     arm, log, positions, motion = recorded
     found = armctl.identify_elasticity(arm, replace(log, q=positions))

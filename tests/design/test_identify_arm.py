@@ -464,7 +464,7 @@ def test_an_excitation_starts_elsewhere_if_home_is_too_close_to_something(bundle
         armctl.excitation(arm, for_="arm", start=arm.home)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_a_long_excitation_is_found_among_obstacles():
     """Balls around the arm: of random straight ways a part is free, of thirty in a row none."""
     scene = armctl.Scene()

@@ -137,7 +137,7 @@ def test_stiff_servos_are_within_their_errors_and_have_no_backlash(known, file):
     assert found.errors.delay < 0.001
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_an_error_above_the_noise_of_the_positions_is_not_ok(known, file):
     """Gears that are not round add 4 mrad to both motions in the same way: neither the file nor the recording shows it."""
     arm, exact = known
@@ -246,8 +246,10 @@ def test_files_have_the_identified_servos(known, file, tmp_path):
 @pytest.mark.parametrize(
     ("before", "after"),
     [
-        ('<motor joint="a" gear="2" ctrlrange="-1 1"/>', ""),
-        ("", '<position joint="a" kp="20" kv="1" ctrlrange="-1.5 1.5" forcerange="-20 20"/>'),
+        pytest.param('<motor joint="a" gear="2" ctrlrange="-1 1"/>', "", marks=pytest.mark.nightly),
+        pytest.param(
+            "", '<position joint="a" kp="20" kv="1" ctrlrange="-1.5 1.5" forcerange="-20 20"/>', marks=pytest.mark.nightly
+        ),
         ('<velocity joint="b" kv="1" forcerange="-5 5"/>', '<motor joint="a" forcerange="-1 1"/>'),
     ],
     ids=["a motor before the servo", "two servos", "two on both"],

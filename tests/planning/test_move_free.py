@@ -122,7 +122,7 @@ def test_an_end_that_almost_touches_is_reached_and_left_around_the_wall(arm, tmp
     assert_free(near, armctl.move_free(near, GOAL, START))
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("gap", [3e-4, 2e-5])
 def test_an_end_that_almost_touches_something_lets_the_arm_come_near_to_nothing_else(arm, tmp_path, gap, seed):
