@@ -100,6 +100,8 @@ def test_a_c_function_is_a_law(bundled: armctl.Arm):
     ("make", "what"),
     [
         (lambda arm: _core.PD(stiffness=np.ones(3), damping=np.ones(2)), r"damping: need an array of shape \(3,\), got \(2,\)"),
+        (lambda arm: _core.PD(stiffness=np.ones(3), dampin=np.ones(3)), "dampin: there is no such argument"),
+        (lambda arm: _core.PD(stiffness=np.ones(3)), "damping: this argument is missing"),
         (
             lambda arm: _core.PDGravity(arm.core_model, stiffness=np.ones(2), damping=np.ones(2)),
             r"stiffness: need an array of shape \(3,\)",

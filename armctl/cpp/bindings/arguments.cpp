@@ -62,6 +62,15 @@ std::span<Number> Arguments::array(std::initializer_list<size_t> shape, const ch
     return array.shaped(shape, name);
 }
 
+void Signature::refuse_others(const nb::kwargs& given) const {
+    for (const auto& [key, each] : given) {
+        const std::string_view name = nb::cast<const char*>(key);
+        if (std::ranges::find(parameters_, name, &Parameter::name) == parameters_.end()) {
+            throw InputError(std::string(name) + ": there is no such argument");
+        }
+    }
+}
+
 template Vector Arguments::array(std::initializer_list<size_t>, const char*) const;
 template Result Arguments::array(std::initializer_list<size_t>, const char*) const;
 template Integers Arguments::array(std::initializer_list<size_t>, const char*) const;

@@ -103,6 +103,9 @@ public:
         return {writable({rows, columns}, name).data(), rows, columns};
     }
 
+    // Throws InputError if an argument has a name that nothing asks for.
+    void refuse_others(const nanobind::kwargs& given) const;
+
     // The parameters with their types, after a comma each.
     std::string text() const {
         std::string all;
@@ -131,19 +134,27 @@ private:
     std::vector<Parameter> parameters_;
 };
 
+// What a reader asks for.
+template <class Reader>
+Signature asked_by(const Reader& read) {
+    Signature asked;
+    read(asked);
+    return asked;
+}
+
 // The signature of a function in Python whose keyword arguments a reader reads; `begin` is what comes before them.
 template <class Reader>
 std::string signature(const char* begin, const Reader& read, const char* returned = "None") {
-    Signature asked;
-    read(asked);
-    return std::string("def ") + begin + ", *" + asked.text() + ") -> " + returned;
+    return std::string("def ") + begin + ", *" + asked_by(read).text() + ") -> " + returned;
 }
 
 // Binds a constructor whose keyword arguments a reader reads. `make(self, positional..., read arguments)` makes the object at `self`;
 // `begin` is the signature before the keyword arguments.
 template <class... Positional, class Class, class Reader, class Make, class... Extra>
 void bind_constructor(Class& bound, const char* begin, const Reader& read, const Make& make, const Extra&... extra) {
-    const auto init = [read, make](typename Class::Type* self, const Positional&... positional, const nanobind::kwargs& given) {
+    const auto init = [read, make, asked = asked_by(read)](typename Class::Type* self, const Positional&... positional,
+                                                           const nanobind::kwargs& given) {
+        asked.refuse_others(given);
         Arguments arguments(given);
         make(self, positional..., read(arguments));
     };
