@@ -157,6 +157,7 @@ def test_a_wrong_plant_is_one_sentence(bundled, text, error, sentence):
         plant_by_name(text, bundled)
 
 
+@pytest.mark.full
 def test_a_page_stands_alone_and_says_it_all(bundled_motion, tmp_path):
     arm, motion = bundled_motion
     plants = [armctl.Plant(), armctl.Plant(payload=1.0)]

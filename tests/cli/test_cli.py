@@ -394,6 +394,7 @@ def test_compare_saves_every_run_in_files_of_its_own(capsys, tmp_path):
     assert len(list(tmp_path.iterdir())) == err.count("wrote") == 16
 
 
+@pytest.mark.full
 def test_half_the_speed_takes_twice_as_long(capsys):
     times = []
     for speed in ("1", "0.5"):

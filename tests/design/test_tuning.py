@@ -34,6 +34,7 @@ def test_tuned_gains_satisfy_the_bounds(arm, law):
     assert "active bound" in str(found)
 
 
+@pytest.mark.full
 def test_a_bound_on_torque_noise_is_active(arm):
     free = armctl.tune(arm, "computed-torque", poses=2, plants=[PLANT])
     bounded = armctl.tune(arm, "computed-torque", chatter=0.5 * free.after.chatter, poses=2, plants=[PLANT])

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import some_of
 from synthetic import BENT, TIED, serial_arm
 
 import armctl
@@ -31,7 +32,7 @@ def float64():
     jax.config.update("jax_enable_x64", before)
 
 
-@pytest.fixture(params=ARMS)
+@pytest.fixture(params=some_of(ARMS, ["rubbing"]))
 def arm(request, load, tmp_path) -> armctl.Arm:
     if request.param in TIED:
         bodies, rest, how, _ = TIED[request.param]

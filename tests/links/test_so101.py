@@ -73,6 +73,7 @@ def angles(counts: np.ndarray) -> np.ndarray:
     return (counts - 2048) / COUNTS
 
 
+@pytest.mark.full
 def test_a_move_and_a_chunk_of_targets_end_where_they_lead(bus: Bus, arm: armctl.Arm, calibration: Path):
     with armctl.Robot(arm, armctl.links.SO101(arm, bus.port, calibration), speed=0.6, tip_speed=0.5) as robot:
         assert robot.state.q == pytest.approx(angles(START), abs=2e-3)

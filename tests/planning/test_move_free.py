@@ -3,11 +3,12 @@
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from arms import some_of
+from arms import HELPERS, some_of
 from collidable import arm_among, placed
 
 import armctl
@@ -177,10 +178,11 @@ def test_a_goal_is_a_pose_a_point_or_a_list(arm, kind):
 
 
 def test_the_same_seed_gives_the_same_bits_in_another_process(arm, tmp_path):
+    folders = [str(Path(__file__).parent), str(HELPERS)]
     code = (
-        "import sys, hashlib, warnings; warnings.simplefilter('ignore'); sys.path.insert(0, 'tests/helpers')\n"
+        f"import sys, hashlib, warnings; warnings.simplefilter('ignore'); sys.path[:0] = {folders}\n"
         "from pathlib import Path; from collidable import arm_among; import armctl\n"
-        "from planning.test_move_free import WALL, START, GOAL\n"
+        "from test_move_free import WALL, START, GOAL\n"
         f"arm = arm_among(Path({str(tmp_path)!r}), WALL)\n"
         "print(hashlib.sha256(armctl.move_free(arm, START, GOAL, seed=3).coefficients.tobytes()).hexdigest())"
     )

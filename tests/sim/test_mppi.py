@@ -37,6 +37,7 @@ def beside(arm: armctl.Arm, offset: np.ndarray) -> armctl.Simulation:
     return simulation
 
 
+@pytest.mark.full
 def test_any_cost_can_be_given(arm):
     simulation = beside(arm, at(y=-0.1, z=0.02))
     goal = BOX + at(-0.1, -0.08, 0.1)

@@ -212,6 +212,7 @@ def test_a_damaged_or_foreign_parquet_is_refused(finished, tmp_path):
         armctl.StudyResult.load(log.save(tmp_path / "log.parquet"))
 
 
+@pytest.mark.full
 def test_the_command_makes_a_study_and_writes_what_it_found(toml, tmp_path, capsys):
     from armctl.cli.main import main
 

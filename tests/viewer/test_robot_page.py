@@ -118,6 +118,7 @@ def test_a_fault_stays_until_a_visitor_recovers():
         client.close()
 
 
+@pytest.mark.full
 def test_a_page_shows_the_moves_of_a_program_beside_what_the_robot_was_told(monkeypatch):
     told = []
     monkeypatch.setattr(Ghost, "show", lambda _, q: told.append(q))
