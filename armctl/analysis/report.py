@@ -13,6 +13,7 @@ import numpy as np
 
 from armctl.analysis.plot import four_panels
 from armctl.core import units
+from armctl.core.defaults import AT_REST_SPEED, MIN_DAMPING_RATIO, RESTING_S
 from armctl.core.errors import InputError
 from armctl.core.json_values import json_value
 from armctl.core.log import Contact, Log
@@ -21,8 +22,6 @@ from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
-from armctl.design.loop import MIN_DAMPING_RATIO
-from armctl.sim.stepper import AT_REST_SPEED, RESTING_S
 
 _MAX_CONTACTS_SHOWN = 3
 _MIN_JOINT_ERROR_SHOWN = 1e-15

@@ -4,3 +4,6 @@ DEFAULT_BANDWIDTH = 30.0  # rad/s, of controllers that compensate the inertia
 MIN_DELAY_MARGIN_S = 5e-3  # of default gains
 MAX_PEAK_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
 SETTLE_TIMEOUT_S = 1.0  # for an arm or a gripper to come to rest
+MIN_DAMPING_RATIO = 0.1  # of a closed loop; below it, a vibration takes more than three periods to fall to a tenth
+AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
+RESTING_S = 0.5  # a joint that moves by less than that speed allows in this time rests, however its sensors make it tremble

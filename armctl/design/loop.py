@@ -33,11 +33,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_DELAY_TICKS = 200
-# Below it, a vibration takes more than three periods to fall to a tenth.
-MIN_DAMPING_RATIO = 0.1
 # A mode counts if a step of torque on a joint makes that joint ring with this share of its displacement: what rings less, as
 # modes far above the bandwidth do, is not seen in the motion. In simulations of elastic joints, ten swings of more than 2 % of
-# the displacement follow from modes that count with a damping ratio below the one above.
+# the displacement follow from modes that count with a damping ratio below `MIN_DAMPING_RATIO`.
 _MIN_RINGING_SHARE = 0.05
 _STEP_LEVELS = 12  # of the step response, whose samples lie twice as far apart in each
 _STEPS_PER_LEVEL = 16

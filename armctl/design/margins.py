@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.interface import Controller, controller_name
+from armctl.core.defaults import MIN_DAMPING_RATIO
 from armctl.core.errors import InputError
 from armctl.core.limits import smallest_configuration
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, frozen, integer, matrix, shown
 from armctl.design.linearization import Linearizer
-from armctl.design.loop import MIN_DAMPING_RATIO, Loop, Mode
+from armctl.design.loop import Loop, Mode
 from armctl.design.stability import CoarseMargins, LoopMargins
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.move import read_controller

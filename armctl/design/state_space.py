@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl import _core
+from armctl.control.failure import checked_torque
 from armctl.control.interface import Controller, State, controller_name, has_compiled_law
 from armctl.core.errors import InputError, ModelError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
-from armctl.sim.stepper import checked_torque
 
 ComplexArray = NDArray[np.complex128]
 

@@ -15,13 +15,13 @@ from armctl.control import controller_by_name
 from armctl.control.gains import sample_configurations
 from armctl.control.interface import Controller
 from armctl.control.pd import PD
-from armctl.core.defaults import MAX_PEAK_SENSITIVITY, MIN_DELAY_MARGIN_S
+from armctl.core.defaults import MAX_PEAK_SENSITIVITY, MIN_DAMPING_RATIO, MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, number, shown
 from armctl.design.gain_family import LAWS, PD_LAWS, GainFamily, gain_family
 from armctl.design.linearization import Linearizer
-from armctl.design.loop import MIN_DAMPING_RATIO, Loop, Mode, coarse_margins_around, coarse_margins_with, coarse_plant
+from armctl.design.loop import Loop, Mode, coarse_margins_around, coarse_margins_with, coarse_plant
 from armctl.design.margins import configurations, search_starts, worst_loops
 from armctl.design.stability import CoarseMargins
 from armctl.design.state_space import ComplexArray, linear_controller

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from armctl.core import hooks
 from armctl.core.validation import Array, choice
 from armctl.envs.batch import Batch
 from armctl.mjmodel.target_marker import set_target
@@ -31,10 +32,8 @@ class Screen:
         self._renderer: Renderer | None = None
         self._camera: mujoco.MjvCamera | None = None
         self._viewer = None
-        if choice("render_mode", mode, RENDER_MODES) == "human":
-            from armctl.viewer.viewer import Viewer
-
-            self._viewer = Viewer(self._arm)
+        if choice("render_mode", mode, RENDER_MODES) == "human" and hooks.open_viewer is not None:
+            self._viewer = hooks.open_viewer(self._arm)
 
     @property
     def size(self) -> tuple[int, int]:

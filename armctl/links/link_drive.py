@@ -194,6 +194,10 @@ class LinkDrive:
         self._recorder = None
         return np.concatenate([part.t for segment in recorder.segments for part in segment.readings] or [np.zeros(0)])
 
+    def instability(self, arm: Arm, controller: Controller, q: Array) -> str:
+        """Nothing: a robot follows references with its own controller."""
+        return ""
+
     def come_to_rest(self, *, stop: bool) -> None:
         """Waits until the arm rests; with `stop` it brakes on its path."""
         segment = self._recorder.segments[-1] if self._recorder is not None and self._recorder.segments else None

@@ -77,6 +77,10 @@ class Drive(Protocol):
         """
         ...
 
+    def instability(self, arm: Arm, controller: Controller, q: Array) -> str:
+        """What a reason adds if the loop of an arm is unstable at q (n,); empty if it is stable, or the drive has its own."""
+        ...
+
     def come_to_rest(self, *, stop: bool) -> None:
         """Called where a run ends: waits until a robot rests; with `stop` it brakes on its path before its end."""
         ...

@@ -12,9 +12,9 @@ import numpy as np
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.clearance import clearance_of
 from armctl.control import controller_by_name
-from armctl.control.interface import Controller, State, controller_name
-from armctl.core import hooks
-from armctl.core.defaults import SETTLE_TIMEOUT_S
+from armctl.control.failure import ControllerFailure, checked_torque
+from armctl.control.interface import WRENCH_SIZE, Controller, State, controller_name
+from armctl.core.defaults import AT_REST_SPEED, RESTING_S, SETTLE_TIMEOUT_S
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
@@ -30,8 +30,6 @@ from armctl.planning.move_free import FreeSpace, move_free_with
 from armctl.robot.arm import Arm
 from armctl.sim.drive import Drive, hold_reference
 from armctl.sim.recorder import Recorder, RunInfo, ticks_for
-from armctl.sim.stepper import AT_REST_SPEED, RESTING_S, ControllerFailure, Stepper, checked_torque
-from armctl.sim.wrench_sensor import WRENCH_SIZE
 
 SETTLE_CHECK_INTERVAL_S = 0.02
 NO_TARGET = np.full(7, np.nan)
@@ -316,9 +314,9 @@ class ControlledArms:
         reason = move.refusal or self.drive.failure
         if not reason and not is_done:
             reason = self._shortfall(tip, move, pose)
-        if reason and not move.refusal and isinstance(self.drive, Stepper):
+        if reason and not move.refusal:
             q = self.drive.q_ref[self._slices[tip]]
-            reason += hooks.instability(self.arms[tip], self.controllers[tip], q, self.drive.plant)
+            reason += self.drive.instability(self.arms[tip], self.controllers[tip], q)
         return reason
 
     def _shortfall(self, tip: str, move: PlannedMove, pose: Pose) -> str:

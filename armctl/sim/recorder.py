@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import mujoco
@@ -17,7 +18,6 @@ from armctl.mjmodel.queries import body_name, geom_owner_name, is_below
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.robot.core_model import quaternions, tips
-from armctl.sim.drivetrain import Drivetrain
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
 _MAX_KEPT_ROWS = 20_000  # of a reference
@@ -81,9 +81,23 @@ class RunInfo(NamedTuple):
 class Recorder:
     """The rows of a run, one `TickRows` after the other. They stay readable however the run ends."""
 
-    def __init__(self, model: mujoco.MjModel, actuation: Actuation, tips: ReferenceTips, train: Drivetrain | None = None):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        actuation: Actuation,
+        tips: ReferenceTips,
+        positions: Callable[[Array], Array] | None = None,
+    ):
+        """A recorder without rows.
+
+        Args:
+            model: The model whose positions are recorded.
+            actuation: The joints of all arms in it.
+            tips: Those of references.
+            positions: The joint positions (T, n) of rows (T, nq); those of the actuation if left out.
+        """
         self._model = model
-        self._train = train
+        self._positions = positions
         self._actuation = actuation
         self._tips = tips
         self._parts: list[TickRows] = []
@@ -150,8 +164,8 @@ class Recorder:
             rows = [_first(getattr(part.reference, name.removesuffix("_ref")), part.count) for part in parts]
             columns[name] = _joined(rows)
         qpos = columns["qpos"]
-        train = self._train
-        columns["q"] = qpos.take(self._actuation.qpos_adr, axis=1) if train is None else train.link_positions(qpos)
+        positions = self._positions
+        columns["q"] = qpos.take(self._actuation.qpos_adr, axis=1) if positions is None else positions(qpos)
         return columns
 
     def _wrenches(self, columns: slice) -> Array:

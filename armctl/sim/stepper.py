@@ -12,12 +12,15 @@ from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from armctl import _core
+from armctl.control.failure import ControllerFailure, checked_torque
 from armctl.control.interface import CompiledController, Controller, State, controller_name, has_compiled_law
+from armctl.core import hooks
+from armctl.core.defaults import AT_REST_SPEED
 from armctl.core.errors import InputError
 from armctl.core.log import LogSource, LogTorques, SimulationError
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
-from armctl.core.validation import Array, IntArray, read_only, shown, vector
+from armctl.core.validation import Array, IntArray, read_only, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
@@ -29,8 +32,6 @@ from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
 from armctl.sim.repairs import has_repaired, repair, repair_counts
 from armctl.sim.wrench_sensor import WrenchSensor
 
-AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
-RESTING_S = 0.5  # a joint that moves by less than that speed allows in this time rests, however its sensors make it tremble
 _MAX_KEPT_TICKS = 20_000
 _FLOAT64 = np.dtype(np.float64)
 
@@ -51,15 +52,6 @@ class Observer(Protocol):
     def after_ticks(self, data: mujoco.MjData, seconds: float) -> None:
         """Called during a run, `seconds` of simulated time after the last call."""
         ...
-
-
-class ControllerFailure(Exception):
-    """A controller raised an exception or returned no torque; the exception is the cause. Of several arms it names the tip."""
-
-    def __init__(self, controller: Controller, tip: str = ""):
-        super().__init__(controller, tip)
-        self.controller = controller
-        self.tip = tip
 
 
 class _OneThread:
@@ -219,7 +211,7 @@ class Stepper:
             self.data.eq_active[:] = self.model.eq_active0
 
     def recorder(self) -> Recorder:
-        return Recorder(self.model, self.actuation, self._reference_tips, self._train)
+        return Recorder(self.model, self.actuation, self._reference_tips, self._train.link_positions)
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
         """The first `ticks` ticks of a trajectory. The last motion is kept on its ticks: many runs follow the same one."""
@@ -258,6 +250,9 @@ class Stepper:
 
     def come_to_rest(self, *, stop: bool) -> None:
         """Nothing: a simulation stands between two runs."""
+
+    def instability(self, arm: Arm, controller: Controller, q: Array) -> str:
+        return hooks.instability(arm, controller, q, self.plant)
 
     def _runs_compiled(self, controller: Controller) -> TypeGuard[CompiledController]:
         """Whether the ticks of a controller need no Python. A compiled law can get the wrench on one tip."""
@@ -427,16 +422,6 @@ class Stepper:
         unit = self.actuation.units[worst]
         self.diverged = True
         self.failure = f"diverged at {self.data.time:.3f} s: {joint} moves at {v[worst]:.3g} {unit}/s"
-
-
-def checked_torque(tau: object, n: int) -> Array:
-    """A controller's torque as a vector of n floats; it need not be finite."""
-    if tau is None:
-        raise InputError(f"torque: expected {n} numbers, but the controller returned None")
-    try:
-        return vector("torque", tau, n, finite=False)  # type: ignore[arg-type]
-    except TypeError:
-        raise InputError(f"torque: expected {n} numbers, but the controller returned {shown(tau)}") from None
 
 
 def _index(addresses: IntArray) -> slice | IntArray:

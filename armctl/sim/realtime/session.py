@@ -13,6 +13,7 @@ import numpy as np
 from armctl.collision.checkers import collision_checker
 from armctl.control import controller_by_name
 from armctl.control.interface import Controller
+from armctl.core.defaults import AT_REST_SPEED
 from armctl.core.errors import ModelError, UnknownNameError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
@@ -30,7 +31,7 @@ from armctl.sim.realtime.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
 from armctl.sim.realtime.history import History
 from armctl.sim.realtime.status import Activity, Status
 from armctl.sim.realtime.target_follower import TargetFollower
-from armctl.sim.stepper import AT_REST_SPEED, Stepper
+from armctl.sim.stepper import Stepper
 
 UPDATE_INTERVAL_S = 0.01
 _REFERENCE_ARRIVED = 1e-6  # rad
