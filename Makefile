@@ -72,7 +72,7 @@ $(VENV)/run.stamp: pyproject.toml
 	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[$(EXTRA)]' || { \
 	  echo "pip could not install armctl; its reason is above."; exit 1; }
 	@# What the first page imports is compiled here: a third of the time until it opens.
-	@$(BIN)/python -c 'import armctl.viewer.page, armctl.viewer.page_server, mink, mjviser'
+	@$(BIN)/python -c 'import armctl.view.page, armctl.view.page_server, mink, mjviser'
 	@echo $(EXTRA) >$@
 
 # Both at once: the compiler uses two cores only part of the time, and pip one.
@@ -182,7 +182,7 @@ examples: $(VENV)/ci.stamp $(VENV)/core.stamp
 	@touch $@
 
 franka-sim: $(VENV)/dev.stamp $(VENV)/core.stamp .franka-sim/stamp
-	@$(BIN)/pip install --quiet --no-compile --no-build-isolation --editable '.[franka]' && $(BIN)/python -m pytest tests/links/test_franka_sim.py -n 0 -rP
+	@$(BIN)/pip install --quiet --no-compile --no-build-isolation --editable '.[franka]' && $(BIN)/python -m pytest tests/run/links/test_franka_sim.py -n 0 -rP
 
 # With MINUTES the tests take this time together. Without it they take ten minutes, and the motions go on until all are made.
 fuzz: SEED ?= 0

@@ -40,13 +40,13 @@ def __getattr__(name: str) -> Any:
 
 def _open_viewer(arm: Any) -> Any:
     """The page behind `Simulation(viewer=True)`."""
-    from armctl.viewer.viewer import Viewer
+    from armctl.view.viewer import Viewer
 
     return Viewer(arm)
 
 
 def _instability(*case: Any) -> str:
-    from armctl.design.linearization import instability
+    from armctl.lab.loops.linearization import instability
 
     return instability(*case)
 

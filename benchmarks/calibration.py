@@ -13,7 +13,7 @@ from markdown_table import titled_table
 from scipy.spatial.transform import Rotation
 
 import armctl
-from armctl.analysis.iso9283_figures import accuracy
+from armctl.lab.iso9283_figures import accuracy
 
 sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
 from synthetic import BENT, serial_arm

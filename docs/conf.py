@@ -9,9 +9,7 @@ from pathlib import Path
 from sphinx.util import logging
 
 import armctl
-import armctl.envs
-import armctl.jax
-import armctl.links
+import armctl.gym
 
 project = "armctl"
 author = "the armctl authors"
@@ -41,43 +39,58 @@ html_css_files = ["pages.css"]
 html_extra_path = ["../llms.txt"]  # for coding assistants: tasks, and the call for each
 html_show_copyright = False
 
-# One chapter per subpackage that has public names, in the order of the layers.
+# One chapter per package that has public names, in the order of the rooms.
 CHAPTERS = {
     "core": "Values: poses, limits, setpoints, logs, errors",
-    "mjmodel": "MuJoCo models",
-    "robot": "The arm",
-    "collision": "Collisions and clearance",
-    "loading": "Loading robots",
-    "ik": "Inverse kinematics",
+    "model.mjmodel": "MuJoCo models",
+    "model.arm": "The arm",
+    "model.collision": "Collisions and clearance",
+    "model.loading": "Loading robots",
     "control": "Control",
-    "motion": "Motion",
-    "planning": "Collision-free motion",
-    "stream": "Streams of targets",
-    "render": "Pictures and videos",
-    "sim": "Simulation",
-    "links": "Robots",
-    "design": "Identification and tuning",
-    "analysis": "Reports, plots, comparisons",
-    "study": "Studies",
-    "viewer": "The viewer",
-    "envs": "Reinforcement learning",
-    "jax": "Pure functions for JAX",
-    "io": "Other tools",
+    "plan.ik": "Inverse kinematics",
+    "plan.motion": "Motion",
+    "plan.planner": "Collision-free motion",
+    "plan.stream": "Streams of targets",
+    "run.execution": "Commands",
+    "run.sim": "Simulation",
+    "run.links": "Robots",
+    "run": "Robots of other libraries",
+    "report.render": "Pictures and videos",
+    "report": "Reports and plots",
+    "lab.loops": "Margins and tuning",
+    "lab.identification": "Identification",
+    "lab.study": "Studies",
+    "lab": "Comparisons and checks",
+    "view": "The viewer",
+    "gym": "Reinforcement learning",
+    "gym.jax": "Pure functions for JAX",
 }
+MODULES = {"links": armctl.links, "gym": armctl.gym, "jax": armctl.jax}  # with public names of their own
+
+
+def public_names() -> list[str]:
+    """All public names, those of modules with the name of the module."""
+    names = [name for name in armctl.__all__ if name not in {"__version__", *MODULES}]
+    return names + [f"{module}.{name}" for module, value in MODULES.items() for name in value.__all__]
+
+
+def chapter_of(name: str) -> str:
+    """The package of a public name that has a chapter."""
+    module = attrgetter(name)(armctl).__module__.removeprefix("armctl.")
+    if module == "_core":
+        return "control"  # the core's public class is a law
+    while module not in CHAPTERS:
+        module = module.rpartition(".")[0]
+    return module
 
 
 def reference() -> dict[str, str]:
-    """The pages of the reference by their file names: a list of all public names, and one page for each subpackage."""
-    names: dict[str, list[str]] = {subpackage: [] for subpackage in CHAPTERS}
-    for name in armctl.__all__:
-        if name not in ("__version__", "links"):
-            subpackage = getattr(armctl, name).__module__.split(".")[1]
-            names["control" if subpackage == "_core" else subpackage].append(name)  # the core's public class is a law
-    names["links"] += [f"links.{name}" for name in armctl.links.__all__]
-    names["envs"] = [f"envs.{name}" for name in armctl.envs.__all__]
-    names["jax"] = [f"jax.{name}" for name in armctl.jax.__all__]
-    chapters = [subpackage for subpackage in CHAPTERS if names[subpackage]]
-    toctree = ["```{toctree}", ":hidden:", "", *(f"reference/{subpackage}" for subpackage in chapters), "```", ""]
+    """The pages of the reference by their file names: a list of all public names, and one page for each chapter."""
+    names: dict[str, list[str]] = {package: [] for package in CHAPTERS}
+    for name in public_names():
+        names[chapter_of(name)].append(name)
+    chapters = [package for package in CHAPTERS if names[package]]
+    toctree = ["```{toctree}", ":hidden:", "", *(f"reference/{package}" for package in chapters), "```", ""]
     index = [
         "# Reference",
         "",
@@ -86,15 +99,15 @@ def reference() -> dict[str, str]:
         *toctree,
     ]
     pages: dict[str, str] = {}
-    for subpackage in chapters:
-        title = CHAPTERS[subpackage]
-        links = ", ".join(f"{{py:obj}}`~armctl.{name}`" for name in names[subpackage])
-        index += [f"## [{title}](reference/{subpackage}.md)", "", links, ""]
-        introduction = (import_module(f"armctl.{subpackage}").__doc__ or "").split("\n")[0]
+    for package in chapters:
+        title = CHAPTERS[package]
+        links = ", ".join(f"{{py:obj}}`~armctl.{name}`" for name in names[package])
+        index += [f"## [{title}](reference/{package}.md)", "", links, ""]
+        introduction = (import_module(f"armctl.{package}").__doc__ or "").split("\n")[0]
         lines = [f"# {title}", "", introduction, ""]
-        for name in names[subpackage]:
+        for name in names[package]:
             lines += [f"## {name}", "", "```{eval-rst}", *directive(name), "```", ""]
-        pages[f"reference/{subpackage}.md"] = "\n".join(lines)
+        pages[f"reference/{package}.md"] = "\n".join(lines)
     pages["reference.md"] = "\n".join(index)
     return pages
 
@@ -127,9 +140,7 @@ def without_generated_docstring(app, what, name, obj, options, lines):
 def public_ids() -> set[str]:
     """What the reference must hold: all public names, and the public methods of the classes, inherited ones too."""
     ids = set()
-    subpackages = {"envs": armctl.envs, "jax": armctl.jax, "links": armctl.links}
-    of_subpackages = {f"{subpackage}.{name}" for subpackage, module in subpackages.items() for name in module.__all__}
-    for name in ({*armctl.__all__} | of_subpackages) - {"__version__", "links"}:
+    for name in public_names():
         value = attrgetter(name)(armctl)
         ids.add(f"armctl.{name}")
         for base in value.__mro__ if inspect.isclass(value) else ():

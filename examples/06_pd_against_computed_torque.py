@@ -1,7 +1,7 @@
 """The same motion under PD and under computed torque, in one table: the benefit of a model of the arm."""
 
 import armctl
-from armctl.analysis.report import table
+from armctl.report.report import table
 
 arm = armctl.load("robot_arm_3dof")
 motion = armctl.move_through(arm, [[0.0, -0.5, -1.0], [1.0, -0.3, -0.5], [-1.0, -0.3, -0.5], [0.0, 0.0, 0.0]])

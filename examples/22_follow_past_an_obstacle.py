@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 import armctl
-from armctl.loading.catalog import locate
+from armctl.model.loading.catalog import locate
 
 spec = mujoco.MjSpec.from_file(str(locate("robot_arm_3dof").path))
 spec.worldbody.add_geom(name="post", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.03, 0.15, 0.0], pos=[0.42, 0.0, 0.15])

@@ -4,9 +4,9 @@ import tempfile
 from pathlib import Path
 
 import armctl
-from armctl.analysis.comparison import out_and_back
-from armctl.analysis.plot import overlay
-from armctl.analysis.report import table
+from armctl.lab.comparison import out_and_back
+from armctl.report.plot import overlay
+from armctl.report.report import table
 
 arm = armctl.load("robot_arm_3dof")
 names = ["pd", "pd-gravity", "computed-torque-textbook", "computed-torque"]

@@ -1,8 +1,8 @@
 """An unknown payload: its effect on the error, the error with an observer, and the identified payload."""
 
 import armctl
-from armctl.analysis.comparison import out_and_back
-from armctl.analysis.report import table
+from armctl.lab.comparison import out_and_back
+from armctl.report.report import table
 
 arm = armctl.load("robot_arm_3dof")
 plant = armctl.Plant(payload=1.5, encoder_noise=1e-5, timestep=0.001)  # the controllers' model has none of these

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 import armctl
-from armctl.analysis.comparison import out_and_back
+from armctl.lab.comparison import out_and_back
 
 arm = armctl.load("robot_arm_3dof")
 model = copy.copy(arm.model)  # the real arm: 20 % more mass and 30 % more damping than its model

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import armctl
-from armctl.analysis.plot import overlay
+from armctl.report.plot import overlay
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 logs = []

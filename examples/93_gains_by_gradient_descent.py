@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 import armctl
-import armctl.jax as aj
+from armctl import jax as aj
 
 jax.config.update("jax_enable_x64", True)
 arm = armctl.load("robot_arm_3dof")

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 import armctl
-import armctl.jax as aj
+from armctl import jax as aj
 
 try:
     from mujoco import mjx

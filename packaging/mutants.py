@@ -50,11 +50,11 @@ PRELOADED = ("scipy.optimize", "scipy.signal", "scipy.stats", "mujoco", "pinocch
 TIMEOUT_S = 600.0  # a test that hangs has found the error
 MEMORY_BYTES = 8 << 30  # an error that allocates without end must not take the computer's memory
 CXX = "cpp"
-# Tests of a subpackage beside tests/SUBPACKAGE: it is checked where it is used.
-MORE_TESTS = {"control": ["sim"], "robot": ["control", "motion"]}
+# Tests of a subpackage such as plan/ik beside tests/SUBPACKAGE: it is checked where it is used.
+MORE_TESTS = {"control": ["run/sim"], "model/arm": ["control", "plan/motion"]}
 # The tests that judge the core.
-CXX_TESTS = ["core", "robot", "control", "collision", "ik", "motion", "sim", "envs", "planning", "stream"]
-DEFAULT = ["control", "robot", "ik", "motion", "collision", "design", "envs", CXX]
+CXX_TESTS = ["core", "model/arm", "model/collision", "control", "plan", "run/sim", "gym"]
+DEFAULT = ["control", "model/arm", "plan/ik", "plan/motion", "model/collision", "lab", "gym", CXX]
 Record = dict[str, dict[str, Any]]
 
 
@@ -266,12 +266,12 @@ def read_record(subpackages: list[str]) -> Record:
 
 def tests_of(mutant: Mutant, record: Record, limit: float) -> list[str]:
     """The tests that judge a mutant in Python: those of its subpackage that call its function, others of both."""
-    subpackage = mutant.file.parts[1]
-    folders = [subpackage, *MORE_TESTS.get(subpackage, [])]
+    packages = [str(folder) for folder in mutant.file.relative_to("armctl").parents]
+    folders = {f"tests/{folder}" for name in packages for folder in [name, *MORE_TESTS.get(name, [])]}
     name = f"{mutant.file}:{mutant.function}"
     ranked = []
     for test, row in record.items():
-        own = test.split("/")[1] in folders
+        own = test.rpartition("/")[0] in folders
         calls = name in row["calls"]
         if own or calls:
             ranked.append((not calls, not own, row["seconds"], test))

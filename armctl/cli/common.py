@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from armctl.core.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
-    from armctl.analysis.report import Report
-    from armctl.robot.arm import Arm
+    from armctl.model.arm.arm import Arm
+    from armctl.report.report import Report
 
 DONE = 0
 NOT_REACHED = 1
@@ -62,7 +62,7 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
 
 
 def _robot_names(**_: object) -> list[str]:
-    from armctl.loading.catalog import robots
+    from armctl.model.loading.catalog import robots
 
     return list(robots())
 
@@ -113,7 +113,7 @@ def controllers_from(text: str) -> list[str]:
 
 
 def load_arm(args: argparse.Namespace) -> Arm:
-    from armctl.loading.load import load
+    from armctl.model.loading.load import load
 
     ends = {"tip": args.tip, "base": args.base, "hold_base": args.hold_base}
     return load(args.robot, **ends, tool=args.tool, scene=args.scene, srdf=args.srdf, shapes=args.shapes)

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 from armctl.cli import common
 
 if TYPE_CHECKING:
-    from armctl.analysis.report import Report
     from armctl.control.interface import Controller
-    from armctl.robot.arm import Arm
-    from armctl.sim.plant import Plant
+    from armctl.model.arm.arm import Arm
+    from armctl.report.report import Report
+    from armctl.run.sim.plant import Plant
 
 _MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
 
@@ -63,11 +63,11 @@ def add(commands: common.Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     speed = common.speed_from(args.speed)
-    from armctl.analysis.comparison import compare, out_and_back, remarks
-    from armctl.analysis.comparison_html import write_comparison
-    from armctl.analysis.report import report_table
     from armctl.cli.plants import plant_by_name
     from armctl.core.validation import number
+    from armctl.lab.comparison import compare, out_and_back, remarks
+    from armctl.lab.comparison_html import write_comparison
+    from armctl.report.report import report_table
 
     arm = common.load_arm(args)
     timestep = common.timestep_from(args)
@@ -99,8 +99,8 @@ def _tuned(
 ) -> tuple[list[Controller | str], list[str]]:
     """The controllers tuned to the delay margin on all plants, and a remark on each that keeps its default gains."""
     from armctl.core.progress import progress_bar
-    from armctl.design.gain_family import LAWS
-    from armctl.design.tuning import tune
+    from armctl.lab.loops.gain_family import LAWS
+    from armctl.lab.loops.tuning import tune
 
     delay_margin = common.one_number("delay_margin", args.delay_margin)
     controllers: list[Controller | str] = []

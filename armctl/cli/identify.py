@@ -26,9 +26,9 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from armctl.analysis.identification_page import identification_page
     from armctl.core.log import Log
-    from armctl.design.identify import identify
+    from armctl.lab.identification.identification_page import identification_page
+    from armctl.lab.identification.identify import identify
 
     columns = _table("columns", args.columns)
     units = _table("units", args.units)

@@ -25,12 +25,12 @@ def add(commands: common.Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     speed = common.speed_from(args.speed)
-    from armctl.analysis.iso9283 import iso9283_cycles
     from armctl.cli.plants import plant_by_name
     from armctl.control import controller_by_name
-    from armctl.design.excitation import excitation
-    from armctl.design.payload import identify_payload
-    from armctl.sim.simulate import simulate
+    from armctl.lab.identification.excitation import excitation
+    from armctl.lab.identification.payload import identify_payload
+    from armctl.lab.iso9283 import iso9283_cycles
+    from armctl.run.sim.simulate import simulate
 
     arm = common.load_arm(args)
     known = arm

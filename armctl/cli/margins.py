@@ -10,8 +10,8 @@ from armctl.cli import common
 from armctl.core.defaults import MAX_PEAK_SENSITIVITY, MIN_DELAY_MARGIN_S
 
 if TYPE_CHECKING:
-    from armctl.robot.arm import Arm
-    from armctl.sim.plant import Plant
+    from armctl.model.arm.arm import Arm
+    from armctl.run.sim.plant import Plant
 
 
 def add(commands: common.Commands) -> None:
@@ -52,9 +52,9 @@ def _arm_and_plants(args: argparse.Namespace) -> tuple[Arm, list[Plant]]:
 
 
 def compute_margins(args: argparse.Namespace) -> int:
-    from armctl.analysis.margins_html import margins_table, write_margins
     from armctl.core.progress import progress_bar
-    from armctl.design.margins import margins
+    from armctl.lab.loops.margins import margins
+    from armctl.lab.loops.margins_html import margins_table, write_margins
 
     arm, plants = _arm_and_plants(args)
     controllers = common.controllers_from(args.controllers)
@@ -71,7 +71,7 @@ def compute_margins(args: argparse.Namespace) -> int:
 
 
 def tune_law(args: argparse.Namespace) -> int:
-    from armctl.design.tuning import tune
+    from armctl.lab.loops.tuning import tune
 
     arm, plants = _arm_and_plants(args)
     found = tune(

@@ -6,9 +6,9 @@ import numpy as np
 
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import number
-from armctl.robot.arm import Arm
-from armctl.sim.plant import ENCODER_NOISE_RAD, NOMINAL, PLANT_ATTRIBUTES, Plant
-from armctl.sim.plant_attribute import Kind
+from armctl.model.arm.arm import Arm
+from armctl.run.sim.plant import ENCODER_NOISE_RAD, NOMINAL, PLANT_ATTRIBUTES, Plant
+from armctl.run.sim.plant_attribute import Kind
 
 _FRICTION = 0.02  # Coulomb friction as a fraction of the torque limit; viscous friction is half of that per rad/s
 _DEFAULT = {"payload": 1.0, "mass": 1.2, "friction": _FRICTION, "delay": 2.0, "noise": 1.0}

@@ -26,10 +26,10 @@ def add(commands: common.Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     speed = common.speed_from(args.speed)
-    from armctl.analysis.report import Report
     from armctl.core.validation import number
-    from armctl.render import film_path
-    from armctl.sim.simulation import Simulation
+    from armctl.report.render import film_path
+    from armctl.report.report import Report
+    from armctl.run.sim.simulation import Simulation
 
     if args.video:
         film_path(args.video, "video")

@@ -21,7 +21,7 @@ def add(commands: common.Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     from armctl.core.atomic import file_path
     from armctl.core.plotting import ENDINGS
-    from armctl.ik.reachability import reachability
+    from armctl.plan.ik.reachability import reachability
 
     if args.out is not None:
         file_path("out", args.out, (".npz",))

@@ -11,8 +11,8 @@ from armctl.core.errors import InputError
 from armctl.core.json_values import json_value
 
 if TYPE_CHECKING:
-    from armctl.links.link import Link
-    from armctl.robot.arm import Arm
+    from armctl.model.arm.arm import Arm
+    from armctl.run.links.link import Link
 
 _MODELS = {"franka": "fr3", "so101": "so101", "plant": "robot_arm_3dof"}
 
@@ -34,13 +34,13 @@ def add(commands: common.Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     seconds = common.one_number("seconds", args.seconds)
     payload = common.one_number("payload", args.payload)
-    from armctl.links.robot import Robot
-    from armctl.loading.load import load
+    from armctl.model.loading.load import load
+    from armctl.run.links.robot import Robot
 
     arm = load(args.model or _MODELS[args.link], tool=args.tool)
     with Robot(arm, _link(args, arm, payload), payload=payload) as robot:
         if args.action == "view":
-            from armctl.viewer import view_robot
+            from armctl.view import view_robot
 
             view_robot(robot)
             return common.DONE
@@ -51,15 +51,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _link(args: argparse.Namespace, arm: Arm, payload: float) -> Link:
     if args.link == "franka":
-        from armctl.links.franka import Franka
+        from armctl.run.links.franka import Franka
 
         return Franka(args.host, payload=payload, real_time=not args.no_real_time)
     if args.link == "so101":
-        from armctl.links.so101 import SO101
+        from armctl.run.links.so101 import SO101
 
         if not args.calibration:
             raise InputError("calibration: an SO-101 needs the file that lerobot-calibrate wrote")
         return SO101(arm, args.host, args.calibration)
-    from armctl.links.plant_link import PlantLink
+    from armctl.run.links.plant_link import PlantLink
 
     return PlantLink(arm, payload=payload, real_time=True)

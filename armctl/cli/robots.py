@@ -25,8 +25,8 @@ def add(commands: common.Commands) -> None:
 
 def list_robots(args: argparse.Namespace) -> int:
     """The robots that have a name, or the ratings of all data sheets."""
-    from armctl.loading.catalog import installed_robots, robots
-    from armctl.loading.datasheets import ALIASES
+    from armctl.model.loading.catalog import installed_robots, robots
+    from armctl.model.loading.datasheets import ALIASES
 
     if args.ratings:
         return _list_ratings(args)
@@ -43,8 +43,8 @@ def list_robots(args: argparse.Namespace) -> int:
 def list_chains(args: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from armctl.analysis.describe import describe_chains
-    from armctl.loading.load import chains
+    from armctl.cli.describe import describe_chains
+    from armctl.model.loading.load import chains
 
     found = chains(args.robot)
     common.print_result(args, describe_chains(args.robot, found), [asdict(chain) for chain in found])
@@ -52,7 +52,7 @@ def list_chains(args: argparse.Namespace) -> int:
 
 
 def show_info(args: argparse.Namespace) -> int:
-    from armctl.analysis.describe import describe, facts
+    from armctl.cli.describe import describe, facts
 
     arm = common.load_arm_with_notes(args)
     common.print_result(args, describe(arm), facts(arm))
@@ -62,8 +62,8 @@ def show_info(args: argparse.Namespace) -> int:
 def run_doctor(args: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from armctl.analysis.diagnose import diagnose
     from armctl.core.json_values import json_value
+    from armctl.lab.diagnose import diagnose
 
     found = diagnose(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base, srdf=args.srdf, shapes=args.shapes)
     common.print_result(args, str(found), json_value(asdict(found)), found.reason)
@@ -71,7 +71,7 @@ def run_doctor(args: argparse.Namespace) -> int:
 
 
 def _list_ratings(args: argparse.Namespace) -> int:
-    from armctl.loading.datasheets import rated_arms, ratings_table
+    from armctl.model.loading.datasheets import rated_arms, ratings_table
 
     rows = [
         {

@@ -16,11 +16,11 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from armctl.analysis.describe import describe_end
-    from armctl.analysis.plot import four_panels
+    from armctl.cli.describe import describe_end
     from armctl.core.atomic import file_path
     from armctl.core.plotting import ENDINGS
-    from armctl.sim.simulation import Simulation
+    from armctl.report.plot import four_panels
+    from armctl.run.sim.simulation import Simulation
 
     if args.plot is not None and args.plot.suffix and not args.plot.is_dir():
         file_path("plot", args.plot, ENDINGS)

@@ -14,7 +14,7 @@ from armctl.cli import common
 from armctl.core.errors import InputError, import_extra
 
 if TYPE_CHECKING:
-    from armctl.study.result import StudyResult
+    from armctl.lab.study.result import StudyResult
 
 _CONNECT_TIMEOUT_S = 30
 
@@ -36,7 +36,7 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from armctl.study.study import Study
+    from armctl.lab.study.study import Study
 
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers: expected at least 1, got {args.workers}")

@@ -16,7 +16,7 @@ from armctl.cli import common
 from armctl.core.errors import InputError, ModelError
 
 if TYPE_CHECKING:
-    from armctl.robot.arm import Arm
+    from armctl.model.arm.arm import Arm
 
 _TOKEN_VARIABLE = "ARMCTL_TOKEN"
 _NO_SCENE = "none"
@@ -47,8 +47,8 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from armctl import viewer
-    from armctl.loading import catalog
+    from armctl import view
+    from armctl.model.loading import catalog
 
     scenes = scenes_by_name(args.scene)
     if args.native:
@@ -56,11 +56,11 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(
                 f"scene: MuJoCo's own viewer shows one, got {len(args.scene)}; leave out --native or give one scene"
             )
-        viewer.view_natively(loaded_arms(args, next(iter(scenes.values())))[0], args.controller)
+        view.view_natively(loaded_arms(args, next(iter(scenes.values())))[0], args.controller)
     else:
         _return_large_buffers()
         catalog.locate(args.robot)  # an unknown name is reported before a browser opens
-        viewer.view(
+        view.view(
             {name: functools.partial(loaded_arms, args, scene) for name, scene in scenes.items()},
             args.controller,
             port=args.port,
@@ -81,7 +81,7 @@ def scenes_by_name(paths: Sequence[str]) -> dict[str, str | None]:
 
 def loaded_arms(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]:
     """The arm in a scene; all arms of a robot that has several of the same length, such as ALOHA, if no tip is given."""
-    from armctl.loading.load import chains, load_arms
+    from armctl.model.loading.load import chains, load_arms
 
     args = argparse.Namespace(**{**vars(args), "scene": scene})
     try:

@@ -14,7 +14,7 @@ from armctl.control.mpc import MPC
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD, PDFeedforward, PDGravity
 from armctl.core.errors import UnknownNameError
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pd": PD,

@@ -11,8 +11,8 @@ from armctl.control.interface import ArmController
 from armctl.control.task_space import POSE_SIZE
 from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.validation import Array
-from armctl.robot.arm import Arm
-from armctl.robot.dynamics import Dynamics
+from armctl.model.arm.arm import Arm
+from armctl.model.arm.dynamics import Dynamics
 
 YIELDING_BANDWIDTH = 10.0  # rad/s, of the default mass on the default spring
 # The default mass is this multiple of the effective one. A mass below the real one bounces on stiff walls.

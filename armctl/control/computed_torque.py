@@ -11,7 +11,7 @@ from armctl.control.interface import ArmController, checked_period
 from armctl.control.observer_gains import estimate_weights, feedback_estimate
 from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.validation import Array
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 FORMS = ("discrete", "textbook")
 

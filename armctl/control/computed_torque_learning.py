@@ -16,7 +16,7 @@ from armctl.control.task_space import arm_length
 from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, number
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 FILTER_BANDWIDTH = 60.0  # rad/s, of each of two low-passes; above most motion, and below the noise of measured accelerations
 TORQUE_NOISE_SHARE = 0.01  # of the torque limits: standard deviation of torques that neither model nor payload explain

@@ -11,7 +11,7 @@ from armctl.control.interface import ArmController
 from armctl.control.observer_gains import EstimateWeights, ObserverGains, estimate_weights, low_pass_weight, observer_gains
 from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.validation import Array
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 _OBSERVERS = (_core.ComputedTorqueObserver, _core.ComputedTorqueLearning)  # laws that estimate a disturbance
 

@@ -11,7 +11,7 @@ from armctl.control.task_space import arm_length
 from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, shown
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 
 def _no_estimate(name: str, value: Any, _n: int) -> float | None:

@@ -21,7 +21,7 @@ from armctl.control.interface import (
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, instance, shown, vector
-from armctl.robot.arm import Arm, check_arm
+from armctl.model.arm.arm import Arm, check_arm
 
 
 def _with_torque(name: str, controller: Controller, _n: int) -> Controller:

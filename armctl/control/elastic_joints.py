@@ -22,8 +22,8 @@ from armctl.control.pd import PD
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, flag, instance, vector
-from armctl.robot.arm import Arm
-from armctl.robot.passive_forces import DryFriction, PassiveForces
+from armctl.model.arm.arm import Arm
+from armctl.model.arm.passive_forces import DryFriction, PassiveForces
 
 _REVERSAL_SPEED = 0.01  # rad/s, of the reference, over which compensated friction changes its sign
 _RETURN_SHARE = 0.5  # of a resonance: the rate at which motors return from where they have yielded to, below that of vibrations

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, array, number, vector
-from armctl.robot.arm import Arm, check_arm
-from armctl.robot.dynamics import Dynamics
-from armctl.robot.passive_forces import DryFriction, PassiveForces
+from armctl.model.arm.arm import Arm, check_arm
+from armctl.model.arm.dynamics import Dynamics
+from armctl.model.arm.passive_forces import DryFriction, PassiveForces
 
 _NOISE_SHARE = 0.01  # of the torque limits, until it is calibrated
 _SPEED_NOISE = 0.014  # rad/s: of the difference of two positions with a noise of 1e-5 rad, over 1 ms

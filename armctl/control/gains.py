@@ -15,8 +15,8 @@ from armctl.core.defaults import DEFAULT_BANDWIDTH, MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError, ModelError
 from armctl.core.limits import smallest_configuration
 from armctl.core.validation import Array, IntArray, frozen, number, vector
-from armctl.robot.arm import Arm
-from armctl.robot.dynamics import Dynamics
+from armctl.model.arm.arm import Arm
+from armctl.model.arm.dynamics import Dynamics
 
 SAMPLED_CONFIGURATIONS = 64
 _DESIGN_SEED = 0  # of these; `armctl.margins` judges controllers at others

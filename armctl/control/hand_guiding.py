@@ -7,8 +7,8 @@ import numpy as np
 from armctl.control.interface import State
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
-from armctl.robot.arm import Arm, check_arm
-from armctl.robot.passive_forces import DryFriction, PassiveForces
+from armctl.model.arm.arm import Arm, check_arm
+from armctl.model.arm.passive_forces import DryFriction, PassiveForces
 
 _FRICTION_SPEED = 0.05  # rad/s (m/s), over which the compensation of dry friction turns: it must not push an arm at rest
 _SPEED_SHARE = 0.5  # of the limit: above it the arm brakes

@@ -15,7 +15,7 @@ from armctl.control.task_space import task_rows
 from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import Array, IntArray, number, shown
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FRAMES = ("world", "tip")

@@ -16,7 +16,7 @@ from armctl.core.errors import InputError
 from armctl.core.other_names import check_keywords
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, as_array, flag, instance, integer, number, shown
-from armctl.robot.arm import Arm, check_arm
+from armctl.model.arm.arm import Arm, check_arm
 
 WRENCH_SIZE = 6
 MAX_PERIOD_S = 1.0  # of control

@@ -16,7 +16,7 @@ from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array, frozen, number
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 _STEP = 1e-5  # rad, rad/s and rad/s^2, of the central differences of inverse dynamics
 _NODE_INTERVAL_S = 0.02  # along a motion; the inertia changes by a few percent in that time

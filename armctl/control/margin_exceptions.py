@@ -11,7 +11,7 @@ from armctl.control.gains import (
 )
 from armctl.control.impedance import Impedance
 from armctl.core.defaults import MAX_PEAK_SENSITIVITY
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 _PERIODS_S = (0.001, 0.002, 0.004)
 # Gravity stiffness / stiffness. A loop that compensates gravity has this sensitivity at low frequency, and more where it peaks.

@@ -13,7 +13,7 @@ from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain
 from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 DEFAULT_HORIZON_S = 0.25
 _BLOCKS = 10  # of the horizon

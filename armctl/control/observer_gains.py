@@ -18,7 +18,7 @@ import numpy as np
 
 from armctl.control.gains import max_locked_inertia, required_delay, sample_configurations, sampled_inertia
 from armctl.core.defaults import MIN_DELAY_MARGIN_S
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 # rad. A faster low-pass has a delay margin of less than two control periods with any other gains.
 MAX_BANDWIDTH_TIMES_DT = 0.3

@@ -6,7 +6,7 @@ from armctl import _core
 from armctl.control.gain_attribute import Gain, scalar_gain
 from armctl.control.interface import ArmController
 from armctl.core.defaults import DEFAULT_BANDWIDTH
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 
 class OperationalSpace(ArmController):

@@ -18,7 +18,7 @@ from armctl.control.gains import (
 from armctl.control.interface import ArmController, checked_period
 from armctl.core.defaults import MIN_DELAY_MARGIN_S
 from armctl.core.validation import Array, number
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 
 class PD(ArmController):

@@ -4,7 +4,7 @@ import numpy as np
 
 from armctl._core import SINGULARITY_DAMPING
 from armctl.core.validation import Array
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 POSE_SIZE = 6
 

@@ -16,7 +16,7 @@ from armctl.control.gain_attribute import Gain, joint_gain
 from armctl.control.interface import Controller
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, integer, number, shown
-from armctl.robot.arm import Arm
+from armctl.model.arm.arm import Arm
 
 _MAX_ORDER = 8
 _MAX_FREQUENCY = 1e5  # rad/s

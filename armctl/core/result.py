@@ -76,3 +76,32 @@ class MoveResult(Verdict):
     def contacts(self) -> tuple[Contact, ...]:
         """What the arm touched; empty if it touched nothing or did not move."""
         return () if self.log is None else self.log.contacts
+
+
+@dataclass(frozen=True)
+class GripResult(Verdict):
+    """The result of a movement of the gripper. `bool(result)` is `result.ok`.
+
+    Attributes:
+        ok: Whether the gripper grasped something, or reached the requested width.
+        grasped: Whether something is held between the pads.
+        held: The body that is held; empty if none. Only a body that moves freely can be held.
+        width: m between the pads.
+        force: N, the contact force on the held body; the smaller of the two sides.
+        duration: s of simulated time.
+        reason: The reason if it is not ok; empty if it is.
+    """
+
+    ok: bool
+    grasped: bool
+    held: str
+    width: float
+    force: float
+    duration: float
+    reason: str
+
+    def __str__(self) -> str:
+        if self.grasped:
+            done = f"grasped {self.held!r} with {self.force:.3g} N, {1e3 * self.width:.3g} mm wide"
+            return done if self.ok else f"{done}; {self.reason}"
+        return f"open {1e3 * self.width:.3g} mm" if self.ok else self.reason

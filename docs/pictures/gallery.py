@@ -14,8 +14,8 @@ import numpy as np
 from PIL import Image
 
 import armctl
-from armctl.loading.catalog import BUNDLED
-from armctl.render.camera import box_corners, fitted_view
+from armctl.model.loading.catalog import BUNDLED
+from armctl.report.render.camera import box_corners, fitted_view
 
 DOCS = Path(__file__).resolve().parents[1]
 FOLDER = DOCS / "pictures" / "robots"

@@ -20,15 +20,15 @@ from matplotlib.figure import Figure
 from PIL import Image as Picture
 
 import armctl
-from armctl.analysis.comparison import compare, out_and_back
-from armctl.analysis.plot import overlay
 from armctl.core.plotting import COLORS, STYLE, finish_figure
-from armctl.render import record
-from armctl.sim.realtime.status import Activity
+from armctl.lab.comparison import compare, out_and_back
+from armctl.report.plot import overlay
+from armctl.report.render import record
+from armctl.view.realtime.status import Activity
 
 if TYPE_CHECKING:
-    from armctl.sim.realtime.session import RealTimeSession
-    from armctl.viewer.page import Page
+    from armctl.view.page import Page
+    from armctl.view.realtime.session import RealTimeSession
 
 HERE = Path(__file__).parent
 ARM_SPEED_SLIDER = 1  # of the page's sliders, after that of the payload
@@ -156,8 +156,8 @@ def browser(arm: armctl.Arm, width: int, height: int) -> Iterator[Browser]:
     """The page of `armctl view` in a browser that draws in software, with the arm at its first target."""
     from playwright.sync_api import sync_playwright
 
-    from armctl.viewer.page import Page
-    from armctl.viewer.web_scene import WebScene
+    from armctl.view.page import Page
+    from armctl.view.web_scene import WebScene
 
     page = Page([arm], WebScene(0))
     threading.Thread(target=page.serve, daemon=True).start()

@@ -18,7 +18,7 @@ from armctl.cli.common import CONTROLLER_NAMES
 from armctl.cli.main import main, with_options
 from armctl.control import CONTROLLERS
 from armctl.core.tables import TERMINAL_COLUMNS, Table, folded
-from armctl.loading.datasheets import ROWS
+from armctl.model.loading.datasheets import ROWS
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
@@ -521,7 +521,7 @@ def test_all_speeds_of_iso9283_are_fractions_of_the_given_one(capsys, monkeypatc
         speeds.append(speed)
         return SimpleNamespace(reason="", to_dict=lambda: {"speed": speed})
 
-    monkeypatch.setattr("armctl.analysis.iso9283.iso9283_cycles", measured)
+    monkeypatch.setattr("armctl.lab.iso9283.iso9283_cycles", measured)
     status, _, _ = run(capsys, "iso9283", BUNDLED, "--all-speeds", "--speed", "0.4")
     assert status == 0
     assert speeds == pytest.approx([0.4, 0.2, 0.04])

@@ -209,7 +209,7 @@ def at_rest(arm):
 
 
 def test_gains_of_an_arm_with_a_singular_mass_matrix_are_a_model_error(bundled, monkeypatch):
-    monkeypatch.setattr("armctl.robot.dynamics.Dynamics.mass_matrix", lambda self, q: np.zeros((3, 3)))
+    monkeypatch.setattr("armctl.model.arm.dynamics.Dynamics.mass_matrix", lambda self, q: np.zeros((3, 3)))
     with pytest.raises(armctl.ModelError, match="the mass matrix is singular"):
         armctl.PD(replace(bundled))  # another object: what is known of an arm is computed once
 

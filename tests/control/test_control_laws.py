@@ -6,9 +6,9 @@ from motions import Still
 from synthetic import BENT, serial_arm
 
 import armctl
-from armctl.analysis.comparison import out_and_back
 from armctl.control import pd
 from armctl.core.trajectory import Setpoint
+from armctl.lab.comparison import out_and_back
 
 
 def greatest_error(arm, name, dt, **plant):

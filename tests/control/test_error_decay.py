@@ -9,8 +9,8 @@ from motions import Still
 from synthetic import BENT, SHAPES, Shape, limb, motors, serial_arm
 
 import armctl
-from armctl.analysis.describe import describe, facts
-from armctl.analysis.margins_html import margins_table
+from armctl.cli.describe import describe, facts
+from armctl.lab.loops.margins_html import margins_table
 
 HEAVY_DAMPING = replace(BENT["six joints"], joint='armature="0.02" damping="8"')
 LIGHT = replace(SHAPES["light"], joint="")

@@ -77,7 +77,7 @@ def test_the_memory_of_an_array_is_released():
 
 
 def test_a_parent_behind_its_joint_is_an_input_error(bundled: armctl.Arm):
-    from armctl.robot.dynamics import core_model
+    from armctl.model.arm.dynamics import core_model
 
     assert core_model(bundled.model, bundled.pinocchio_model).n == 3
     m = 1

@@ -32,9 +32,7 @@ from arms import arm_of
 from synthetic import Shape, arm_with_gripper, serial_arm
 
 import armctl
-import armctl.envs
-import armctl.jax
-import armctl.links
+import armctl.gym
 
 MAX_OTHER_ERRORS_SHARE = 0.001
 MAX_MESSAGE_CHARACTERS = 400
@@ -58,7 +56,7 @@ SLOW = {
     "JointTrajectory.plot",
     "envs.save_demonstrations",
 }
-PACKAGES = {"": armctl, "envs.": armctl.envs, "jax.": armctl.jax, "links.": armctl.links}
+PACKAGES = {"": armctl, "envs.": armctl.gym, "jax.": armctl.jax, "links.": armctl.links}
 # Given in every call: their defaults take long or open a page.
 ALWAYS_GIVEN = {"workers", "width", "height", "viewer"}
 
@@ -107,8 +105,8 @@ def costly_results() -> dict[str, object]:
 def world() -> dict[str, object]:
     """One object of every public class with methods, by the name of the class."""
     arm = arm_of("robot_arm_3dof")
-    env = armctl.envs.ArmEnv(arm, action="joint_delta")
-    envs = armctl.envs.ArmVectorEnv(arm, action="joint_delta", num_envs=2)
+    env = armctl.gym.ArmEnv(arm, action="joint_delta")
+    envs = armctl.gym.ArmVectorEnv(arm, action="joint_delta", num_envs=2)
     env.reset(seed=0)
     envs.reset(seed=0)
     with TemporaryDirectory() as folder:
@@ -122,7 +120,7 @@ def world() -> dict[str, object]:
     dry_run.open()
     hand = armctl.links.PlantLink(gripping.arm)
     hand.open()
-    lerobot_arm = armctl.links.LeRobotArm(armctl.Simulation(arm))
+    lerobot_arm = armctl.LeRobotArm(armctl.Simulation(arm))
     lerobot_arm.connect()
     return {
         "Actuation": arm.actuation,
@@ -172,7 +170,7 @@ def world() -> dict[str, object]:
         "TorqueRateLimit": armctl.TorqueRateLimit(arm, armctl.PD(arm), 100.0),
         "envs.ArmEnv": env,
         "envs.ArmVectorEnv": envs,
-        "envs.ExpertPolicy": armctl.envs.ExpertPolicy(env),
+        "envs.ExpertPolicy": armctl.gym.ExpertPolicy(env),
         "jax.ArmModel": armctl.jax.arm_model(arm),
         "jax.PDGains": armctl.jax.PDGains.of(armctl.PD(arm), arm.dt),
         "jax.ComputedTorqueGains": armctl.jax.ComputedTorqueGains.of(armctl.ComputedTorque(arm), arm.dt),
@@ -180,7 +178,7 @@ def world() -> dict[str, object]:
         "jax.Reference": armctl.jax.tick_reference(motion, arm.dt, ticks=2),
         "links.Franka": armctl.links.Franka("127.0.0.1"),
         "links.Hand": armctl.links.Hand(hand.hand),
-        "links.LeRobotArm": lerobot_arm,
+        "LeRobotArm": lerobot_arm,
         "links.LinkCheck": armctl.Robot(arm, armctl.links.PlantLink(arm)).check(0.1),
         "links.PlantLink": link,
         "links.SO101": feetech_link(),

@@ -8,8 +8,8 @@ import pytest
 
 import armctl
 from armctl._core import Constraint
-from armctl.ik import lm
-from armctl.ik.problem import read_problem
+from armctl.plan.ik import lm
+from armctl.plan.ik.problem import read_problem
 
 CASES_IN_SUITE = 6
 RESTARTS = 2000

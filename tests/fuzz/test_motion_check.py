@@ -8,7 +8,7 @@ from motion_check import extremes, violation
 from scipy.interpolate import BPoly, PPoly
 
 import armctl
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 
 FIELDS = ("q", "v_max", "a_max", "j_max")
 JOINTS = 3

@@ -12,7 +12,7 @@ import msgspec
 import viser
 from viewer_client import CAMERA, connected, follows, open_page, until
 
-from armctl.sim.realtime.status import Activity
+from armctl.view.realtime.status import Activity
 
 MESSAGES_IN_SUITE = 10_000
 GOAL = "/scene0/arm0/goal"

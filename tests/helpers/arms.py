@@ -20,8 +20,8 @@ import pytest
 from synthetic import BENT, serial_arm
 
 import armctl
-from armctl.loading.catalog import BUNDLED
-from armctl.loading.datasheets import ALIASES
+from armctl.model.loading.catalog import BUNDLED
+from armctl.model.loading.datasheets import ALIASES
 
 HELPERS = Path(__file__).parent
 MODELS = HELPERS.parent / "models"

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.collision.checkers import collision_checker
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, BoolArray
-from armctl.ik.batch import solve_ik_batch
-from armctl.loading.chain import SerialChain
-from armctl.loading.load import chains, load_arms
-from armctl.motion.move_j import move_j
-from armctl.robot.arm import Arm
-from armctl.robot.parity import PARITY_TOLERANCE, check_parity
-from armctl.sim.simulate import simulate
+from armctl.model.arm.arm import Arm
+from armctl.model.arm.parity import PARITY_TOLERANCE, check_parity
+from armctl.model.collision.checkers import collision_checker
+from armctl.model.loading.chain import SerialChain
+from armctl.model.loading.load import chains, load_arms
+from armctl.plan.ik.batch import solve_ik_batch
+from armctl.plan.motion.move_j import move_j
+from armctl.run.sim.simulate import simulate
 
 EXACT_TRACKING = 1e-6  # rad, m: computed torque in its own model
 EXPLAINED_TRACKING = 5e-3  # rad, m: with a reason, such as a soft equality

@@ -7,8 +7,8 @@ import numpy as np
 import armctl
 from armctl.control import controller_by_name
 from armctl.core.trajectory import Setpoint
-from armctl.design.frequency_response import Excited, standstill
-from armctl.design.loop import Loop
+from armctl.lab.identification.frequency_response import Excited, standstill
+from armctl.lab.loops.loop import Loop
 
 DEVIATION = 1e-6  # rad, small enough for the linear model
 

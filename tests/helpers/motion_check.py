@@ -12,7 +12,7 @@ from math import comb
 import numpy as np
 
 import armctl
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 
 POSITION_TOLERANCE = 1e-9  # rad (m)
 RATIO_TOLERANCE = 1e-6

@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio as pin
 
 from armctl import Arm
-from armctl.robot.core_model import Integrator
-from armctl.robot.dynamics import Dynamics
-from armctl.robot.passive_forces import PassiveForces
+from armctl.model.arm.core_model import Integrator
+from armctl.model.arm.dynamics import Dynamics
+from armctl.model.arm.passive_forces import PassiveForces
 
 
 class PinocchioStep:

@@ -14,10 +14,10 @@ import viser
 import websockets.sync.client
 from arms import BUNDLED, arm_of
 
-from armctl.robot.arm import Arm
-from armctl.sim.realtime.status import Activity
-from armctl.viewer.page import Page, Scenes
-from armctl.viewer.web_scene import WebScene
+from armctl.model.arm.arm import Arm
+from armctl.view.page import Page, Scenes
+from armctl.view.realtime.status import Activity
+from armctl.view.web_scene import WebScene
 
 TIMEOUT_S = 120.0  # on a busy machine
 CAMERA = {

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 import armctl
-from armctl.analysis.comparison_html import write_comparison
-from armctl.render.renderer import gl_context
+from armctl.lab.comparison_html import write_comparison
+from armctl.report.render.renderer import gl_context
 
 KILLS = 2
 LONGEST_DELAY_S = 0.5

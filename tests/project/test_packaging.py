@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 import armctl
-from armctl.loading.catalog import bundled_models
+from armctl.model.loading.catalog import bundled_models
 
 ROOT = Path(__file__).parents[2]
 BUILD = ROOT / "build" / "core" / str(sysconfig.get_config_var("SOABI"))
@@ -66,9 +66,9 @@ def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothi
     assert names == modules | models | {
         "armctl/__init__.pyi",
         "armctl/_core.pyi",
-        "armctl/links/__init__.pyi",
+        "armctl/run/links/__init__.pyi",
         "armctl/py.typed",
-        "armctl/viewer/devices.js",
+        "armctl/view/devices.js",
         extension,
     }
     assert "armctl/models/robot_arm_3dof.xml" in names
@@ -103,7 +103,7 @@ def declared() -> set[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     lines = [*project["dependencies"]]
-    for extra in ("view", "design", "study", "ros", "envs", "jax"):
+    for extra in ("view", "design", "study", "ros", "gym", "jax"):
         lines += extras[extra]
     return {re.split(r"[<>=\[]", line)[0] for line in lines}
 
@@ -143,7 +143,7 @@ def test_the_own_distribution_is_not_warned_of(installed: Path):
 
 @pytest.mark.full
 def test_an_installed_wheel_loads_the_bundled_arm(installed: Path):
-    code = "import armctl, armctl.loading.catalog as c; "
+    code = "import armctl, armctl.model.loading.catalog as c; "
     code += "print(c.bundled_models(), armctl.__version__, armctl.load('robot_arm_3dof').n)"
     models, version, joints = run(installed / "bin" / "python", "-c", code, cwd=installed).split()
     assert Path(models).is_relative_to(installed)

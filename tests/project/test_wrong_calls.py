@@ -11,8 +11,8 @@ from arms import arm_of
 import armctl
 from armctl.cli.main import main
 from armctl.core.log import Log
-from armctl.motion.move_cartesian import move_path
-from armctl.sim.recorder import MOST_TICKS
+from armctl.plan.motion.move_cartesian import move_path
+from armctl.run.execution.recorder import MOST_TICKS
 
 
 @cache

@@ -1,1 +1,0 @@
-"""How well a run went: metrics, reports, plots, comparisons, ISO 9283."""

@@ -1,0 +1,104 @@
+"""Arms, serial chains and the end of a run, in words and as plain data."""
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from armctl.control.computed_torque import ComputedTorque
+from armctl.control.margin_exceptions import margin_exceptions
+from armctl.control.observer_gains import max_unknown_payload
+from armctl.core import units
+from armctl.core.json_values import json_value
+from armctl.core.log import Log
+from armctl.core.tables import Table
+from armctl.lab.loops.linearization import linearize
+from armctl.lab.static_payload import doubt_about_torque_limits, static_payload, static_payloads
+from armctl.model.arm.arm import Arm
+from armctl.model.loading.chain import SerialChain
+
+
+def facts(arm: Arm) -> dict[str, Any]:
+    """An arm as plain data for JSON; what is infinite becomes None."""
+    law = ComputedTorque(arm)
+    data = {
+        "name": arm.name,
+        "joint_names": list(arm.joint_names),
+        "units": list(arm.units),
+        "tip": arm.tip,
+        "tip_at_home": arm.fk(arm.home).position.tolist(),
+        "home": arm.home.tolist(),
+        "limits": {f.name: getattr(arm.limits, f.name).tolist() for f in fields(arm.limits)},
+        "sources": dict(arm.sources),
+        "mass_kg": float(sum(inertia.mass for inertia in arm.pinocchio_model.pin_model.inertias)),
+        "timestep_s": arm.dt,
+        "notes": list(arm.notes),
+        "static_payload_kg": static_payload(static_payloads(arm)),
+        "unknown_payload_kg": max_unknown_payload(arm),
+        "margin_exceptions": list(margin_exceptions(arm)),
+        "bandwidth_rad_per_s": law.bandwidth,
+        "slowest_pole_per_s": linearize(arm, law, arm.limits.clamp(arm.home)).slowest_pole,
+    }
+    return json_value(data)
+
+
+def describe(arm: Arm) -> str:
+    """An arm in words: a table of its joints and limits, and the sources of the limits."""
+    data = facts(arm)
+    limits = arm.limits
+    width = max(5, *map(len, arm.joint_names))
+    tip = ", ".join(f"{x:.4f}" for x in data["tip_at_home"])
+    noun = "joint" if arm.n == 1 else "joints"
+    lines = [
+        f"{arm.name}: {arm.n} {noun}, {data['mass_kg']:.2f} kg moving, tip {arm.tip!r} at [{tip}] m at home",
+        f"{'joint':{width}} {'home':>8} {'q_min':>8} {'q_max':>8} {'v_max':>8} {'a_max':>8} {'j_max':>8} {'tau_max':>8}",
+    ]
+    columns = (arm.home, limits.q_min, limits.q_max, limits.v_max, limits.a_max, limits.j_max, limits.tau_max)
+    for i, name in enumerate(arm.joint_names):
+        lines.append(f"{name:{width}} " + " ".join(f"{column[i]:8.4g}" for column in columns))
+    lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
+    lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
+    lines += [f"note: {note}" for note in arm.notes]
+    for i in np.flatnonzero(arm.motor_torque_limits < limits.tau_max).tolist():
+        own = f"{arm.motor_torque_limits[i]:.4g} {arm.actuation.torque_units[i]}"
+        lines.append(f"note: the motor of {arm.joint_names[i]} gives {own} in simulations, less than its tau_max")
+    payload = data["static_payload_kg"]
+    if payload is None:
+        lines.append("static payload at the tip: any, because a weight there loads no joint")
+    else:
+        doubt = doubt_about_torque_limits(arm, payload)
+        lines.append(doubt or f"static payload at the tip, in 95 % of configurations: {max(payload, 0.0):.3g} kg")
+    unknown = data["unknown_payload_kg"]
+    lines.append(
+        "unknown payload within 5 cm of the tip, default gains of computed-torque-observer and -learning: up to "
+        f"{unknown:.3g} kg keeps the delay margin, up to {2 * unknown:.3g} kg is stable"
+    )
+    lines.append(
+        f"default computed-torque at home: slowest pole {data['slowest_pole_per_s']:.3g} 1/s, bandwidth "
+        f"{data['bandwidth_rad_per_s']:.3g} rad/s"
+    )
+    return "\n".join(lines + [f"default gains, {exception}" for exception in data["margin_exceptions"]])
+
+
+def describe_end(log: Log) -> str:
+    """The end of a run in words: a table of its joints, and the tip."""
+    kinds = units.label(log.units), units.label(log.units, "/s"), units.label(units.of_torque(log.units))
+    heads = [f"{f'{what}, {unit}':>10}" for what, unit in zip(("q", "v", "torque"), kinds, strict=True)]
+    lines = [f"{'joint':20} {' '.join(heads)}"]
+    for i, name in enumerate(log.joint_names):
+        cells = zip((log.q, log.v, log.tau), (4, 4, 3), heads, strict=True)
+        lines.append(f"{name:20} " + " ".join(f"{column[-1, i]:{len(head)}.{digits}f}" for column, digits, head in cells))
+    place = ", ".join(f"{x:.4f}" for x in log.tip[-1])
+    return "\n".join([*lines, f"after {log.t[-1]:.3f} s the tip is at [{place}] m" + (log.failure and f"; {log.failure}")])
+
+
+def describe_chains(robot: str, chains: list[SerialChain]) -> str:
+    """The chains of a robot in words: a table with base, tip and joints; a rejected chain comes with the reason."""
+    usable = sum(chain.ok for chain in chains)
+    rows = []
+    for chain in chains:
+        said = f"rejected: {chain.reason}" if chain.reason else f"{len(chain.joint_names)}: {' '.join(chain.joint_names)}"
+        said += f", with {' '.join(chain.followers)}" if chain.followers else ""
+        rows.append((chain.base, chain.tip, said))
+    found = f"{robot}: {usable} chains that load(robot, base=..., tip=...) accepts, {len(chains) - usable} that it rejects"
+    return f"{found}\n{Table(('base', 'tip', 'joints'), rows).text()}"

@@ -1,1 +1,0 @@
-"""Models and controllers improved from data: excitation and identification."""

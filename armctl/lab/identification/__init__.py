@@ -1,0 +1,1 @@
+"""Parameters of an arm from recordings, and the motions that show them."""

@@ -1,0 +1,1 @@
+"""Control loops as linear systems: margins, stability, tuning and filters."""

@@ -1,0 +1,113 @@
+"""Actuation: the driven joints of one arm, or of several, and where MuJoCo keeps their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from armctl.core import units
+from armctl.core.errors import InputError
+from armctl.core.limits import Limits
+from armctl.core.validation import Array, IntArray, frozen, instance, shown
+from armctl.model.arm.joint_map import JointMap
+from armctl.model.mjmodel.queries import joint_name
+from armctl.model.mjmodel.transmissions import Transmission
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """The n driven joints of one or several arms: names, limits, and addresses in the arrays of MuJoCo.
+
+    A tick loop and a log need no more than this. All arrays are read-only.
+
+    Attributes:
+        joint_names: The n joints; of one arm from the base to the tip.
+        joint_map: How the n joints move all joints that are coupled to them.
+        limits: The limits of the n joints.
+        units: "rad" for each joint that turns, "m" for each that slides.
+        qpos_adr: (n,) addresses of the joints in `MjData.qpos`.
+        dof_adr: (n,) addresses of the joints in `MjData.qvel`.
+        ctrl_adr: (n,) addresses of their motors in `MjData.ctrl`.
+        motor_adr: (n,) addresses of their motors in `MjData.actuator_force`.
+        gear: (n,) joint torque per unit of control, and of the motor's force.
+    """
+
+    joint_names: tuple[str, ...]
+    joint_map: JointMap
+    limits: Limits
+    units: tuple[str, ...]
+    qpos_adr: IntArray
+    dof_adr: IntArray
+    ctrl_adr: IntArray
+    motor_adr: IntArray
+    gear: Array
+
+    @property
+    def n(self) -> int:
+        """The number of driven joints."""
+        return len(self.joint_names)
+
+    @cached_property
+    def torque_units(self) -> tuple[str, ...]:
+        """ "N m" for each joint that turns, "N" for each that slides."""
+        return units.of_torque(self.units)
+
+    @classmethod
+    def from_model(
+        cls, model: mujoco.MjModel, joint_map: JointMap, transmissions: Sequence[Transmission], limits: Limits
+    ) -> Actuation:
+        """Reads the addresses of an arm's joints and motors from a compiled model.
+
+        Args:
+            model: The compiled model; its actuators are motors.
+            joint_map: The arm's joints and those coupled to them.
+            transmissions: What moves the n joints.
+            limits: The limits of the n joints.
+        """
+        instance("model", model, mujoco.MjModel, "arm.model is one")
+        instance("joint_map", joint_map, JointMap, "arm.joint_map is one")
+        instance("limits", limits, Limits, "arm.limits is one")
+        for each in transmissions if isinstance(transmissions, Sequence) else [transmissions]:
+            instance("transmissions", each, Transmission, "a list of them is needed")
+        joints = [transmission.joint for transmission in transmissions]
+        actuators = [transmission.actuator for transmission in transmissions]
+        slides = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        return cls(
+            joint_names=tuple(joint_name(model, joint) for joint in joints),
+            joint_map=joint_map,
+            limits=limits,
+            units=units.of_joints(slides),
+            qpos_adr=frozen(model.jnt_qposadr[joints].astype(np.int64)),
+            dof_adr=frozen(model.jnt_dofadr[joints].astype(np.int64)),
+            ctrl_adr=frozen(model.actuator_ctrladr[actuators].astype(np.int64)),
+            motor_adr=frozen(np.array(actuators, dtype=np.int64)),
+            gear=frozen(np.array([transmission.gear for transmission in transmissions])),
+        )
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[Actuation]) -> Actuation:
+        """The joints of several arms of one model, in the order of the arms.
+
+        Args:
+            parts: The actuation of each arm.
+
+        Raises:
+            InputError: There are no parts, or two of them move the same joint.
+        """
+        if not isinstance(parts, Sequence) or not parts:
+            raise InputError(f"parts: expected a list of at least one Actuation, got {shown(parts)}")
+        for part in parts:
+            instance("parts", part, Actuation, "arm.actuation is one")
+        maps = [part.joint_map for part in parts]
+        arrays = ("qpos_adr", "dof_adr", "ctrl_adr", "motor_adr", "gear")
+        return cls(
+            joint_names=tuple(name for part in parts for name in part.joint_names),
+            joint_map=JointMap.concatenated(maps),
+            limits=Limits(*(np.concatenate([getattr(part.limits, f.name) for part in parts]) for f in fields(Limits))),
+            units=tuple(unit for part in parts for unit in part.units),
+            **{name: frozen(np.concatenate([getattr(part, name) for part in parts])) for name in arrays},
+        )

@@ -1,0 +1,163 @@
+"""The Pinocchio model of one serial chain, built from the compiled MuJoCo model, body by body.
+
+Every joint turns about, or slides along, the z axis of its own frame. Joints outside the chain are held where they are, so the
+bodies behind them are rigidly connected to the link that carries them. Joints that follow a joint of the chain are Pinocchio's
+mimic joints.
+"""
+
+import threading
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, BoolArray, frozen
+from armctl.model.arm.joint_map import JointMap
+from armctl.model.arm.passive_forces import is_enabled
+from armctl.model.mjmodel.queries import last_joint_above
+
+WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+
+class _Memory(threading.local):
+    """Pinocchio's scratch memory and the place of the tip in it, one for each thread."""
+
+    def __init__(self, pin_model: pin.Model, tip_frame: int):
+        self.data = pin_model.createData()
+        T = self.data.oMf[tip_frame]
+        self.tip = T.translation, T.rotation
+
+
+@dataclass(frozen=True, eq=False)
+class PinocchioModel:
+    """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them."""
+
+    joint_map: JointMap  # how the n move the chain's joints, and what else; k = n where no joint follows another
+    pin_model: pin.Model  # the Pinocchio model; its frame `tip_frame` is the tip
+    tip_frame: int  # index of the tip's frame
+    # (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world)
+    placements: Array
+    is_slide: BoolArray  # (k,) bool, True where the joint slides along its z axis instead of turning about it
+    T_last_tip: Array  # (4, 4), the tip in the last joint's frame
+    # A second Pinocchio model that carries only what gravity compensation in the MuJoCo model lifts (`gravcomp`), or None where
+    # nothing is lifted
+    gravity_support: pin.Model | None
+
+    @property
+    def chain_length(self) -> int:
+        """The number k of joints from the base to the tip, coupled joints included."""
+        return len(self.placements)
+
+    def tip(self, q: Array) -> tuple[Array, Array]:
+        """Position (3,) m and rotation (3, 3) of the tip in the world at q (n,); valid until this thread's next call."""
+        memory = self._memory
+        pin.framesForwardKinematics(self.pin_model, memory.data, q)
+        return memory.tip
+
+    @property
+    def scratch(self) -> pin.Data:
+        """Pinocchio's scratch memory of this thread; what it holds is valid until this thread's next call."""
+        return self._memory.data
+
+    @cached_property
+    def _memory(self) -> _Memory:
+        return _Memory(self.pin_model, self.tip_frame)
+
+    def jacobian(self, q: Array) -> Array:
+        """The tip's Jacobian (6, n) at q (n,), linear first, world axes."""
+        J = pin.computeFrameJacobian(self.pin_model, self._memory.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
+        return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
+
+    def __reduce__(self):
+        return PinocchioModel, tuple(getattr(self, field.name) for field in fields(self))
+
+
+def build_pinocchio_model(
+    model: mujoco.MjModel, chain_length: int, joint_map: JointMap, qpos: Array, tip_body: int, T_body_tip: Pose
+) -> PinocchioModel:
+    """The rigid-body model of a chain: of the joints of `joint_map` the first `chain_length`; `qpos` holds all others."""
+    joints = joint_map.joints
+    data = mujoco.MjData(model)
+    zero = model.qpos0[model.jnt_qposadr[list(joints)]]
+    data.qpos[:] = qpos
+    data.qpos[model.jnt_qposadr[list(joints)]] = zero
+    mujoco.mj_kinematics(model, data)
+
+    frames = [_joint_frame(data.xanchor[j], data.xaxis[j]) for j in joints]
+    is_slide = np.array([model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for j in joints])
+    pin_model = pin.Model()
+    has_gravity = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    pin_model.gravity.linear = model.opt.gravity if has_gravity else np.zeros(3)
+    placements = []
+    for i, (joint, above) in enumerate(zip(joints, _joints_behind(model, joints), strict=True)):
+        previous = frames[above] if above >= 0 else pin.SE3.Identity()
+        back_to_zero = _joint_displacement(-zero[i], bool(is_slide[i]))
+        placement = previous.actInv(frames[i]) * back_to_zero
+        kind = pin.JointModelPZ() if is_slide[i] else pin.JointModelRZ()
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}"
+        pin_model.addJoint(above + 1, kind, placement, name)
+        placements.append(placement.homogeneous)
+    for k, (ratio, offset) in enumerate(zip(joint_map.ratio, joint_map.offset, strict=True)):
+        if k not in joint_map.leaders:  # a joint that follows another is Pinocchio's mimic joint
+            leader = int(joint_map.leaders[np.flatnonzero(ratio)[0]])
+            pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
+    support = pin_model.copy() if has_gravity and np.any(model.body_gravcomp) else None
+    pin_model.armature = joint_map.ratio.T**2 @ model.dof_armature[joint_map.dof_adr]
+
+    for body, owner in enumerate(last_joint_above(model, joints)):
+        if owner < 0 or not (model.body_mass[body] or model.body_inertia[body].any()):
+            continue
+        T_joint_inertia = frames[owner].actInv(_se3(data.xipos[body], data.ximat[body]))
+        mass = model.body_mass[body]
+        moments = model.body_inertia[body]
+        pin_model.appendBodyToJoint(owner + 1, pin.Inertia(mass, np.zeros(3), np.diag(moments)), T_joint_inertia)
+        if support is not None:
+            lifted = pin.Inertia(mass * model.body_gravcomp[body], np.zeros(3), np.zeros((3, 3)))
+            support.appendBodyToJoint(owner + 1, lifted, T_joint_inertia)
+
+    T_world_tip = _se3(data.xpos[tip_body], data.xmat[tip_body]) * pin.SE3(T_body_tip.rotation, T_body_tip.position)
+    T_last_tip = frames[chain_length - 1].actInv(T_world_tip)
+    tip_frame = pin_model.addFrame(pin.Frame("tip", chain_length, 0, T_last_tip, pin.FrameType.OP_FRAME))
+    return PinocchioModel(
+        joint_map,
+        pin_model,
+        tip_frame,
+        frozen(np.array(placements[:chain_length])),
+        frozen(is_slide[:chain_length]),
+        frozen(T_last_tip.homogeneous),
+        support,
+    )
+
+
+def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
+    """For every joint, the position in `joints` of its parent joint, -1 if it has none."""
+    carried = last_joint_above(model, joints)
+    behind: list[int] = []
+    for i, joint in enumerate(joints):
+        body = int(model.jnt_bodyid[joint])
+        before = [k for k, other in enumerate(joints[:i]) if model.jnt_bodyid[other] == body]
+        behind.append(before[-1] if before else carried[int(model.body_parentid[body])])
+    return behind
+
+
+def _joint_frame(anchor: Array, axis: Array) -> pin.SE3:
+    """A frame at the anchor whose z axis is the joint's axis."""
+    z = axis / np.linalg.norm(axis)
+    x = np.eye(3)[np.abs(z).argmin()]
+    x = x - z * (x @ z)
+    x /= np.linalg.norm(x)
+    return pin.SE3(np.column_stack([x, np.cross(z, x), z]), anchor.copy())
+
+
+def _joint_displacement(q: float, slides: bool) -> pin.SE3:
+    """The displacement of a joint at position q: along z if it slides, else about z."""
+    if slides:
+        return pin.SE3(np.eye(3), np.array([0.0, 0.0, q]))
+    return pin.SE3(pin.utils.rotate("z", q), np.zeros(3))
+
+
+def _se3(position: Array, rotation: Array) -> pin.SE3:
+    return pin.SE3(rotation.reshape(3, 3).copy(), position.copy())

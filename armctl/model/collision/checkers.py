@@ -1,0 +1,69 @@
+"""The collision checkers of each arm, made when they are first needed."""
+
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from threading import Lock
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from armctl.core.errors import InputError, ModelError, UnknownNameError
+from armctl.core.validation import Array, number, shown
+from armctl.model.arm.arm import Arm
+from armctl.model.collision.checker import CollisionChecker, allowed_geoms
+from armctl.model.collision.interface import KeptAxis, MovingJoints
+
+
+def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
+    """What a caller allows to touch, as a tuple; the pairs themselves are checked where they are used."""
+    try:
+        return tuple(allow)  # type: ignore[arg-type]
+    except TypeError:
+        raise InputError(f"allow: expected pairs of names, got {shown(allow)}") from None
+
+
+KEEP_WITHIN_RAD = 0.1
+_MIN_KEEP_WITHIN_RAD = 1e-3
+_MAX_KEEP_WITHIN_RAD = 0.5 * np.pi
+
+
+def read_kept_axis(arm: Arm, keep: str | None, keep_within: float, q: Array) -> KeptAxis | None:
+    """The axis of the tip, "x", "y" or "z", that keeps the direction it has at q (n,) within an angle, rad; None for None."""
+    within = number("keep_within", keep_within, _MIN_KEEP_WITHIN_RAD, _MAX_KEEP_WITHIN_RAD)
+    if keep is None:
+        return None
+    if not isinstance(keep, str) or keep not in ("x", "y", "z"):
+        raise UnknownNameError.of("axis to keep", f"{keep!s:.80}", ["x", "y", "z"])
+    return KeptAxis(keep, arm.tip_body, q, arm.fk(q).rotation[:, "xyz".index(keep)], within)
+
+
+# The checkers that were used last, of each arm. One of them takes about 0.5 MB.
+_KEPT_CHECKERS = 8
+_checkers: WeakKeyDictionary[MovingJoints, OrderedDict[tuple[object, ...], CollisionChecker]] = WeakKeyDictionary()
+_lock = Lock()
+
+
+def collision_checker(
+    arm: MovingJoints, qpos: Array | None = None, allow: Iterable[tuple[str, str]] = (), held: Mapping[int, int] | None = None
+) -> CollisionChecker:
+    """As `CollisionChecker(...)`; those of an arm that were used last are kept with it."""
+    allow = read_pairs(allow)
+    carried = dict(held or {})
+    where = b"" if qpos is None else np.array(qpos).tobytes()
+    key = (where, frozenset(allowed_geoms(arm.model, allow)), tuple(sorted(carried.items())))
+    with _lock:
+        kept = _checkers.setdefault(arm, OrderedDict())
+        if key not in kept:
+            kept[key] = CollisionChecker(arm, qpos, allow, carried)
+        kept.move_to_end(key)
+        while len(kept) > _KEPT_CHECKERS:
+            kept.popitem(last=False)
+        return kept[key]
+
+
+def checkable(arm: MovingJoints) -> CollisionChecker:
+    """The checker of an arm at home; ModelError if a link has no collision shape, so that "no contact" would mean nothing."""
+    checker = collision_checker(arm)
+    if checker.not_checkable:
+        raise ModelError(checker.not_checkable)
+    return checker

@@ -1,0 +1,63 @@
+"""Third stage of loading: build the arms of a prepared model."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from armctl.core.validation import Array, frozen
+from armctl.model.arm.actuation import Actuation
+from armctl.model.arm.arm import Arm, Recipe
+from armctl.model.arm.joint_map import JointMap
+from armctl.model.arm.pinocchio_model import build_pinocchio_model
+from armctl.model.loading.describe import ArmPlan
+from armctl.model.loading.home import home_controls, home_qpos
+from armctl.model.loading.limits import joint_limits
+from armctl.model.mjmodel.target_marker import set_target_start
+
+_TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached
+
+
+def make_arms(
+    name: str,
+    model: mujoco.MjModel,
+    plans: Sequence[ArmPlan],
+    notes: Sequence[str],
+    recipe: Recipe | None,
+    unchecked_links: tuple[str, ...] = (),
+) -> tuple[Arm, ...]:
+    """The arms of a prepared model, which is completed in place: the target's start, no controls in the keyframes."""
+    qpos = home_qpos(model, tuple(joint for plan in plans for joint in plan.joints))
+    arms = [_arm(name, model, plan, qpos, notes, recipe) for plan in plans]
+    near_home = arms[0].limits.clamp(arms[0].home + _TARGET_OFFSET)
+    set_target_start(model, arms[0].fk(near_home).position)
+    model.key_ctrl[:, np.concatenate([arm.ctrl_adr for arm in arms])] = 0.0  # they hold angles for what are torques now
+    ctrl = home_controls(model)
+    return tuple(replace(arm, home_ctrl=ctrl, unchecked_links=unchecked_links) for arm in arms)
+
+
+def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Sequence[str], recipe: Recipe | None) -> Arm:
+    """An arm in a model at home, with the controls of keyframes that are not cleared yet."""
+    joint_map = JointMap.from_transmissions(model, plan.joints, plan.transmissions)
+    limits, sources = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet, plan.dc_motors)
+    actuation = Actuation.from_model(model, joint_map, plan.transmissions, limits)
+    home = frozen(limits.clamp(qpos[actuation.qpos_adr]))  # joints that others follow may have narrower limits than their range
+    whole = qpos.copy()
+    joint_map.set_positions(whole, home)
+    tip = plan.tip
+    return Arm(
+        name=name,
+        model=model,
+        actuation=actuation,
+        tip=tip.name,
+        home=home,
+        pinocchio_model=build_pinocchio_model(model, len(plan.joints), joint_map, whole, tip.body, tip.T_body_tip),
+        home_qpos=frozen(whole),
+        home_ctrl=home_controls(model),
+        tip_body=tip.body,
+        T_body_tip=tip.T_body_tip,
+        notes=(*notes, *plan.notes, *plan.quiet_notes),
+        sources={"tau_max": plan.tau_source} | sources,
+        recipe=recipe,
+    )

@@ -1,0 +1,403 @@
+"""Loading: from a name, a file, a specification or a model to an Arm.
+
+Three stages: describe the arms in the compiled model, prepare a model with torque motors, build the arms. Couplings and
+transmissions are analysed once, in the first stage, and passed on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+
+from armctl.core.errors import ArmctlWarning, InputError, MissingShapeWarning, ModelError, few_names
+from armctl.core.note import Note, Severity
+from armctl.core.pose import Pose
+from armctl.core.validation import flag, instance, shown
+from armctl.model.arm.arm import Arm
+from armctl.model.arm.parity import check_parity
+from armctl.model.loading.added_shapes import CAPSULES, VISUAL, add_shapes, read_shapes, visual_links
+from armctl.model.loading.build import make_arms
+from armctl.model.loading.catalog import Source, locate
+from armctl.model.loading.chain import SerialChain, all_chains
+from armctl.model.loading.describe import ArmEnds, ArmPlan, describe_arms, find_ends
+from armctl.model.loading.home import home_qpos, remove_free_joints
+from armctl.model.loading.inertias import corrected_model
+from armctl.model.loading.link_shapes import fixed_without_shape, names_of, unchecked_links
+from armctl.model.loading.model_checks import (
+    check_joint_parameters,
+    check_mass_matrix,
+    check_memory,
+    check_timestep,
+    model_notes,
+)
+from armctl.model.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
+from armctl.model.loading.scene import Scene
+from armctl.model.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
+from armctl.model.loading.tip import tip_on
+from armctl.model.loading.undriven import add_missing_motors
+from armctl.model.loading.urdf_file import UrdfFile
+from armctl.model.mjmodel.edit import copy_options
+from armctl.model.mjmodel.queries import Joints, colliding_geoms
+from armctl.model.mjmodel.transmissions import Transmissions
+
+_SHAPE_ADVICE = "write <collision> (URDF), or geoms with contype and conaffinity (MJCF), into these links"
+_FLANGE = "armctl_flange"
+
+
+@dataclass(frozen=True, eq=False)
+class _Robot:
+    """A robot as it was read, before a tool or a scene is added."""
+
+    spec: mujoco.MjSpec
+    notes: tuple[str, ...]  # what was assumed, one sentence each; they are reported as warnings
+    quiet_notes: tuple[str, ...]  # what needs no warning, one sentence each
+    srdf: Srdf | None  # the SRDF that belongs to it, or None
+    loose_links: frozenset[str]  # its links, if no file says which of them may touch
+    unread: frozenset[str]  # its links whose shapes are in the file, and could not be read
+    drawn: frozenset[str]  # its links that the file draws by a visual shape that can be read
+
+    def resolved(self, ends: ArmEnds) -> ArmEnds:
+        """The ends of an arm whose tip can be the name of a group of the SRDF."""
+        if self.srdf is None or not isinstance(ends.tip, str) or ends.tip not in self.srdf.groups:
+            return ends
+        if any(element.name == ends.tip for element in (*self.spec.bodies, *self.spec.sites, *self.spec.geoms)):
+            return ends
+        base, tip = self.srdf.groups[ends.tip]
+        return replace(ends, tip=tip, base=base if ends.base is None else ends.base)
+
+
+@dataclass(frozen=True, eq=False)
+class _Recipe:
+    """The arguments of `load` or `load_arms`, from which its model is made."""
+
+    robot: str | os.PathLike[str] | mujoco.MjSpec  # as for `load`
+    ends: tuple[ArmEnds, ...]  # where each arm begins and ends
+    hold_base: bool  # as for `load`
+    tool: str | os.PathLike[str] | mujoco.MjSpec | None  # as for `load`
+    scene: Scene | str | os.PathLike[str] | None  # as for `load`
+    srdf: str | os.PathLike[str] | None  # as for `load`
+    shapes: str | None = None  # as for `load`
+    is_complete: bool = True  # false in another process for the arm of a specification, which does not go along
+
+    def __getstate__(self) -> dict[str, Any]:
+        is_text = not isinstance(self.robot, mujoco.MjSpec) and not isinstance(self.tool, mujoco.MjSpec)
+        return self.__dict__ if is_text else self.__dict__ | {"robot": "", "tool": None, "is_complete": False}
+
+    def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
+        """The model of the arms, made once more after an edit of the specification."""
+        return self.prepared(edit)[1].model
+
+    def prepared(self, edit: Callable[[mujoco.MjSpec], None] | None = None) -> tuple[str, PreparedModel, list[str]]:
+        """The name of the robot, its model with torque motors, and what is doubtful, one sentence each."""
+        if not self.is_complete:
+            raise ModelError("an arm of an MjSpec gets no further elements in another process; load it from a file")
+        source = locate(self.robot)
+        robot = _read(source, self.hold_base, self.srdf, visual=self.shapes == VISUAL)
+        spec = robot.spec
+        ends = [robot.resolved(each) for each in self.ends]
+        unread = robot.unread
+        notes = list(robot.notes)
+        if self.tool is not None:
+            only = ends[0]
+            with _naming(source.name):
+                analysis = Transmissions(source.compile_without_textures(spec))
+                _, flange = find_ends(source, analysis, ArmEnds(only.tip, only.base))
+            body = next(b for b in spec.bodies if b.id == flange.body)
+            mounted = mount(spec, body, flange.T_body_tip, locate(self.tool, tool=True))
+            ends = [replace(only, tip=mounted.tip)]
+            unread |= mounted.unread
+            notes += mounted.notes
+        if self.scene is not None:
+            (self.scene if isinstance(self.scene, Scene) else Scene(self.scene)).build(spec)
+        original = source.compile_without_textures(spec)
+        with _naming(source.name):
+            check_timestep(original)
+            analysis = Transmissions(original)
+            plans = describe_arms(source, analysis, ends)
+        unchecked = unchecked_links(original, _joints(plans), unread)
+        loose_links = robot.loose_links
+        if unchecked and self.shapes is not None:
+            tips = [(plan.tip.body, plan.tip.T_body_tip.position) for plan in plans]
+            qpos = home_qpos(original, _joints(plans))
+            notes += add_shapes(spec, original, qpos, self.shapes, unchecked, tips)
+            original = source.compile_without_textures(spec)
+            with _naming(source.name):
+                analysis = Transmissions(original)
+                plans = describe_arms(source, analysis, ends)
+            shaped = set(original.geom_bodyid[colliding_geoms(original)].tolist())
+            given = names_of(original, [body for body in unchecked if body in shaped])
+            loose_links |= frozenset(given)
+            unchecked = unchecked_links(original, _joints(plans), unread - set(given))
+        prepared = make_arm_model(source, spec, analysis, plans, loose_links, edit)
+        rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
+        prepared = _with_shape_notes(prepared, original, _joints(plans), unchecked, robot.drawn)
+        notes += model_notes(original)
+        quiet_notes = (*filter(None, [rating]), *robot.quiet_notes, *prepared.quiet_notes)
+        return source.name, replace(prepared, quiet_notes=quiet_notes), notes
+
+
+def load(
+    robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
+    *,
+    tip: str | None = None,
+    tip_offset: Pose | None = None,
+    base: str | None = None,
+    hold_base: bool = False,
+    tool: str | os.PathLike[str] | mujoco.MjSpec | None = None,
+    scene: Scene | str | os.PathLike[str] | None = None,
+    srdf: str | os.PathLike[str] | None = None,
+    shapes: str | None = None,
+) -> Arm:
+    """An arm: any serial chain of any robot, its actuators turned into torque motors.
+
+    All joints outside the chain are held where the model's keyframe puts them.
+
+    Args:
+        robot: The bundled arm ("robot_arm_3dof"), an alias ("panda"), a Menagerie name ("franka_emika_panda", or
+            "franka_emika_panda/panda_nohand" for another of its entry points), a name of the package robot_descriptions
+            ("panda_description"), the path of an .xml, .urdf or .xacro file, an MjSpec, or an MjModel. An MjSpec or MjModel is
+            copied and never changed. A compiled MjModel cannot get further elements: its arm has no target marker unless the
+            model has a mocap body named "target", and `hold_base`, `tool`, `scene`, `srdf` and `shapes` need the MjSpec or the
+            file.
+        tip: The site, body or geom at the end of the chain. Left out, armctl finds the chain and its tip.
+        tip_offset: The tip in that element's frame.
+        base: The body at the start of the chain: joints above it are held. Left out, the chain starts at the world.
+        hold_base: Whether to hold a robot that floats or walks, such as a quadruped, where its keyframe puts it.
+        tool: The gripper or hand to mount at the tip: by name, MJCF file or MjSpec. The tip is then the tool's.
+        scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
+        srdf: The path of an SRDF, with allowed contacts, the home configuration, and groups for `tip`. Left out,
+            armctl uses the one beside a URDF; without any, links of a URDF that touch at home may touch.
+        shapes: What stands for the collision shape of links that need one and have none: "capsules" along them, or "visual",
+            the geoms that the file draws them with. Left out, contacts of such an arm cannot be checked: no motion of it is
+            proved, and `arm.unchecked_links` names the links.
+
+    Raises:
+        InputError: An argument has a wrong type, or the names of the scene are taken.
+        UnknownNameError: No robot, or nothing in the model, has that name.
+        ModelError: The file cannot be read, is no arm, or could not be downloaded.
+
+    Warns:
+        ArmctlWarning: The model leaves out something that had to be assumed; a `MissingShapeWarning` if links have no shape.
+    """
+    if tip_offset is not None:
+        instance("tip_offset", tip_offset, Pose, "armctl.Pose([0, 0, 0.1]) is 0.1 m along z")
+    ends = [ArmEnds(tip, base, tip_offset)]
+    return _loaded(robot, ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)[0]
+
+
+def load_arms(
+    robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
+    tips: Sequence[str],
+    *,
+    base: str | Sequence[str | None] | None = None,
+    hold_base: bool = False,
+    scene: Scene | str | os.PathLike[str] | None = None,
+    srdf: str | os.PathLike[str] | None = None,
+    shapes: str | None = None,
+) -> tuple[Arm, ...]:
+    """Several chains of one robot that move at the same time: two arms, four legs, five fingers.
+
+    Args:
+        robot: As for `load`.
+        tips: The site, body or geom at the end of each chain.
+        base: The body at the start of all chains, or one for each: joints above it are held. Left out (None), they start at
+            the world.
+        hold_base: As for `load`.
+        scene: As for `load`.
+        srdf: As for `load`.
+        shapes: As for `load`.
+
+    Returns:
+        An arm for each tip; all share one model, in which all of them have torque motors.
+
+    Raises:
+        InputError: As for `load`; or the bases are not as many as the tips.
+        UnknownNameError: As for `load`.
+        ModelError: As for `load`; or two chains share a joint, or one is mounted on another.
+
+    Warns:
+        ArmctlWarning: As for `load`.
+    """
+    if isinstance(tips, str) or not isinstance(tips, Sequence) or not tips:
+        raise InputError(f"tips: {shown(tips)} is not a list of names, such as ['left/gripper', 'right/gripper']")
+    bases: list[str | None]
+    if base is None or isinstance(base, str):
+        bases = [base for _ in tips]
+    elif isinstance(base, Sequence):
+        bases = list(base)
+    else:
+        raise InputError(f"base: {shown(base)} is neither the name of a body nor a list of names")
+    if len(bases) != len(tips):
+        raise InputError(f"base: {len(bases)} given for {len(tips)} tips; give one for each, or one for all")
+    ends = [ArmEnds(named_tip, named_base) for named_tip, named_base in zip(tips, bases, strict=True)]
+    return _loaded(robot, ends, hold_base=hold_base, tool=None, scene=scene, srdf=srdf, shapes=shapes)
+
+
+def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> list[SerialChain]:
+    """Every serial chain of a robot: its arms, legs, fingers, heads. A free base is treated as fixed.
+
+    Args:
+        robot: As for `load`.
+
+    Returns:
+        The chains that `load` accepts with their base and tip, longest first, then those it rejects, with the reason.
+
+    Raises:
+        InputError: The argument is no robot.
+        UnknownNameError: No robot has that name.
+        ModelError: The file cannot be read, or could not be downloaded.
+    """
+    if isinstance(robot, mujoco.MjModel):
+        return all_chains(Transmissions(robot))
+    source = locate(robot)
+    spec = _read(source, hold_base=False).spec
+    return all_chains(Transmissions(source.compile_without_textures(spec)))
+
+
+def _loaded(
+    robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
+    ends: Sequence[ArmEnds],
+    *,
+    hold_base: bool,
+    tool: str | os.PathLike[str] | mujoco.MjSpec | None,
+    scene: Scene | str | os.PathLike[str] | None,
+    srdf: str | os.PathLike[str] | None,
+    shapes: str | None,
+) -> tuple[Arm, ...]:
+    """The arms with these ends. A specification is copied, since a caller can change it later."""
+    hold_base = flag("hold_base", hold_base)
+    shapes = read_shapes(shapes)
+    if isinstance(robot, mujoco.MjModel):
+        additions = {"hold_base": hold_base or None, "tool": tool, "scene": scene, "srdf": srdf, "shapes": shapes}
+        for what, addition in additions.items():
+            if addition is not None:
+                raise InputError(
+                    f"{what}: a compiled MjModel cannot be changed in this way; pass the MjSpec or the path of the file"
+                )
+        model, corrections = corrected_model(robot)
+        source = Source(model.names[: model.names.index(b"\0")].decode(errors="replace") or "model", None)
+        with _naming(source.name):
+            check_timestep(model)
+            check_memory(model)
+            analysis = Transmissions(model)
+            plans = describe_arms(source, analysis, ends)
+            prepared = make_arm_model_from_compiled(analysis, plans)
+        unchecked = unchecked_links(model, _joints(plans))
+        prepared = _with_shape_notes(prepared, model, _joints(plans), unchecked)
+        return _arms(source.name, prepared, [*corrections, *model_notes(model)], None)
+    kept = locate(robot).copied_spec() if isinstance(robot, mujoco.MjSpec) else robot
+    recipe = _Recipe(kept, tuple(ends), hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
+    return _arms(*recipe.prepared(), recipe)
+
+
+def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Recipe | None) -> tuple[Arm, ...]:
+    """The arms of a prepared model, checked, after the warnings about it."""
+    warned = [*notes, *prepared.notes]
+    for sentence in [*warned, *(note for plan in prepared.plans for note in plan.notes)]:
+        note = sentence if isinstance(sentence, Note) else Note(sentence)
+        warnings.warn(ArmctlWarning(f"{name}: {note}", note), stacklevel=4)
+    if prepared.shape_note:
+        note = Note(prepared.shape_note, _SHAPE_ADVICE, Severity.ERROR)
+        warnings.warn(MissingShapeWarning(f"{name}: {note}", note), stacklevel=4)
+        warned.append(prepared.shape_note)
+    check_joint_parameters(prepared.model)
+    notes = [*warned, *prepared.quiet_notes]
+    arms = make_arms(name, prepared.model, prepared.plans, notes, recipe, prepared.unchecked_links)
+    for arm in arms:
+        check_mass_matrix(arm)
+        check_parity(arm)
+    return arms
+
+
+def _joints(plans: Sequence[ArmPlan]) -> Joints:
+    """The joints of some arms."""
+    return tuple(joint for plan in plans for joint in plan.joints)
+
+
+def _with_shape_notes(
+    prepared: PreparedModel, model: mujoco.MjModel, joints: Joints, unchecked: Sequence[int], drawn: Collection[str] = ()
+) -> PreparedModel:
+    """The prepared model with what is noted about links without a collision shape."""
+    names = names_of(model, unchecked)
+    note = ""
+    if names:
+        remedy = f'load(..., shapes="{CAPSULES}") puts capsules along them'
+        if visual_links(model, unchecked) or set(names) & set(drawn):
+            remedy += f', shapes="{VISUAL}" takes their visual geoms'
+        note = f"no collision shape for {few_names(names)}, so contacts cannot be checked; {remedy}"
+    fixed = [name for name in names_of(model, fixed_without_shape(model, joints)) if name not in names]
+    quiet = [f"no collision shape for the fixed {few_names(fixed)}: contacts with it are not found"] if fixed else []
+    quiet_notes = (*prepared.quiet_notes, *quiet)
+    return replace(prepared, quiet_notes=quiet_notes, unchecked_links=names, shape_note=note)
+
+
+def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None = None, *, visual: bool = False) -> _Robot:
+    """A robot's specification, with what its SRDF says, and what is noted about it."""
+    spec, notes, unread, drawn = source.read(visual=visual)
+    notes = [*notes, *add_missing_motors(spec)]
+    if hold_base:
+        remove_free_joints(spec, source.compile_without_textures(spec))
+    if srdf is not None:
+        instance("srdf", srdf, (str, os.PathLike), "give the path of an SRDF")
+        semantics = read_srdf(Path(srdf))
+    else:
+        semantics = find_srdf(source.urdf) if source.urdf is not None else None
+    quiet_notes = apply_srdf(spec, semantics) if semantics is not None else []
+    loose_links: frozenset[str] = frozenset()
+    if source.urdf is not None and not _lists_all_pairs(semantics, source.urdf, is_given=srdf is not None):
+        loose_links = frozenset(link.get("name", "") for link in source.urdf.root.findall("link"))
+    return _Robot(spec, tuple(notes), tuple(quiet_notes), semantics, loose_links, unread, drawn)
+
+
+def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:
+    """Whether an SRDF lists the links that may touch: one of another file name can describe a variant of the robot."""
+    if srdf is None or not srdf.disabled:
+        return False
+    return is_given or srdf.path.stem == urdf.path.stem.removesuffix(".urdf")
+
+
+@contextlib.contextmanager
+def _naming(name: str) -> Iterator[None]:
+    """Puts the robot's name before the message of a ModelError."""
+    try:
+        yield
+    except ModelError as error:
+        raise ModelError(f"{name:.80}: {error}") from None
+
+
+class MountedTool(NamedTuple):
+    """A tool in the model of a robot."""
+
+    tip: str  # the name of its tip
+    notes: list[str]  # what was left out of it, one sentence each
+    unread: frozenset[str]  # its bodies whose shapes are in the file, and could not be read
+
+
+def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool: Source) -> MountedTool:
+    """Mounts a tool at a frame of the body `flange`, in place.
+
+    Its masses, joints and actuators become part of the robot's model; all of its names get the tool's own before them.
+    """
+    description = tool.read()
+    child = description.spec
+    model = tool.compile(child)
+    for joint in list(child.joints):
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            child.delete(joint)
+    # The better friction of the two: a gripper that holds by it says how it needs it.
+    spec.option.cone = max(spec.option.cone, child.option.cone)
+    spec.option.impratio = max(spec.option.impratio, child.option.impratio)
+    copy_options(spec, child)
+    prefix = f"{tool.name.replace('/', '_')}/"
+    site = flange.add_site(name=_FLANGE, pos=T_body_flange.position, quat=T_body_flange.quat)
+    spec.attach(child, site=site, prefix=prefix)
+    root = next((body for body in range(1, model.nbody) if model.body_parentid[body] == 0), 0)
+    unread = frozenset(prefix + name for name in description.unread)
+    return MountedTool(prefix + tip_on(model, root).name, description.notes, unread)

@@ -1,0 +1,115 @@
+"""Second stage of loading: make a model whose arms have torque motors, from a specification or from a compiled model."""
+
+import copy
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+
+from armctl.core.note import Note
+from armctl.model.loading.actuators import mend_solver
+from armctl.model.loading.catalog import Source
+from armctl.model.loading.describe import ArmPlan
+from armctl.model.loading.motors import adapt_keyframes, make_motors, make_motors_in_model
+from armctl.model.loading.neighbor_contacts import overlapping_neighbors, touching_links, unavoidable_contacts
+from armctl.model.mjmodel.edit import add_payload_bodies, payload_body
+from armctl.model.mjmodel.queries import body_name
+from armctl.model.mjmodel.target_marker import add_target, find_target
+from armctl.model.mjmodel.transmissions import Transmissions
+
+_MAX_NAMES_CHARACTERS = 200  # of links in a note
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedModel:
+    """A model with torque motors."""
+
+    model: mujoco.MjModel
+    plans: tuple[ArmPlan, ...]  # the arms; their bodies are numbered as in this model
+    notes: tuple[str, ...]  # what was changed besides the motors, one sentence each; they are reported as warnings
+    quiet_notes: tuple[str, ...]  # changes that need no warning, one sentence each
+    unchecked_links: tuple[str, ...] = ()  # links without a collision shape that they need
+    shape_note: str = ""  # what is noted about them, one sentence; empty if there are none
+
+
+def make_arm_model(
+    source: Source,
+    spec: mujoco.MjSpec,
+    analysis: Transmissions,
+    plans: Sequence[ArmPlan],
+    loose_links: Collection[str] = (),
+    edit: Callable[[mujoco.MjSpec], None] | None = None,
+) -> PreparedModel:
+    """Gives the arms torque motors, adds the target and compiles; `spec`, from which `analysis.model` came, is changed.
+
+    `loose_links` are bodies of which no file says which of them may touch: those that touch at home may. `edit` is the last
+    change.
+    """
+    original = analysis.model
+    bodies = {body.id: body for body in spec.bodies}
+    notes: list[str] = []
+    excluded: list[str] = []
+    for plan in plans:
+        notes += make_motors(spec, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
+    excluded += mend_solver(original, spec.option)
+    adapt_keyframes(spec, analysis, [plan.transmissions for plan in plans])
+    for plan in plans:
+        neighbors = overlapping_neighbors(original, plan.joints)
+        for first, second in neighbors:
+            spec.add_exclude(bodyname1=first, bodyname2=second)
+            excluded.append(
+                f"contact of {first} with {second} left out: neighbours that overlap at home; in MuJoCo alone their friction "
+                "brakes the joint"
+            )
+        for first, second in unavoidable_contacts(original, plan.joints):
+            if (first, second) not in neighbors:
+                spec.add_exclude(bodyname1=first, bodyname2=second)
+            notes.append(f"{first} overlaps with {second} wherever the arm is; their contact is left out")
+    if loose_links:
+        notes += _exclude_touching(spec, original, plans, loose_links)
+    add_target(spec)
+    add_payload_bodies(spec, original, {plan.tip.body: bodies[plan.tip.body] for plan in plans})
+    if edit is not None:
+        edit(spec)
+    model = source.compile(spec)
+    renumbered = tuple(replace(plan, tip=replace(plan.tip, body=bodies[plan.tip.body].id)) for plan in plans)
+    return PreparedModel(model, renumbered, tuple(notes), tuple(excluded))
+
+
+def _exclude_touching(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, plans: Sequence[ArmPlan], links: Collection[str]
+) -> list[str]:
+    """Excludes the contacts of links that touch at home, in place; one sentence, or none."""
+    joints = tuple(joint for plan in plans for joint in plan.joints)
+    present = {frozenset((exclude.bodyname1, exclude.bodyname2)) for exclude in spec.excludes}
+    pairs = [pair for pair in touching_links(model, joints, links) if frozenset(pair) not in present]
+    for first, second in pairs:
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+    if not pairs:
+        return []
+    names = ", ".join(f"{first} with {second}" for first, second in pairs)
+    shown_names = names if len(names) <= _MAX_NAMES_CHARACTERS else f"{names[:_MAX_NAMES_CHARACTERS]}..."
+    noun = "pair of links" if len(pairs) == 1 else "pairs of links"
+    text = f"contacts of {len(pairs)} {noun} left out, since they touch at home ({shown_names}); srdf= can give the right pairs"
+    return [Note(text, "list the pairs in an SRDF, or as <contact><exclude .../></contact> (MJCF)")]
+
+
+def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPlan]) -> PreparedModel:
+    """Gives the arms torque motors in a copy of the compiled model.
+
+    A compiled model cannot get further elements, so there are no excluded contacts, no target and no body for payloads.
+    """
+    original = analysis.model
+    model = copy.copy(original)
+    notes: list[str] = []
+    for plan in plans:
+        notes += make_motors_in_model(model, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
+        for first, second in overlapping_neighbors(original, plan.joints):
+            notes.append(f"{first} and {second} overlap at home, and their contact brakes the joint; exclude it in the MJCF")
+        if payload_body(original, plan.tip.body) is None:
+            body = body_name(original, plan.tip.body)
+            notes.append(f"gravcomp lifts {body} and would also lift a payload; pass the MjSpec for correct payloads")
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    mended = mend_solver(model, model.opt)
+    quiet = [] if find_target(model) else ["the model has no target marker, and a compiled model cannot get one"]
+    return PreparedModel(model, tuple(plans), tuple(notes), (*mended, *quiet))

@@ -1,0 +1,49 @@
+"""Checks of the arguments that every planner takes."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.core.errors import InputError
+from armctl.core.limits import Limits
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import vector
+from armctl.model.arm.arm import Arm, check_arm
+from armctl.plan.motion.timing.otg import JointState, unavoidable_bounds
+
+
+def planning_arm(arm: Arm, speed: float) -> Arm:
+    """The arm with its limits at a fraction of the full speed; InputError if one is infinite."""
+    check_arm(arm)
+    for name in ("v_max", "a_max", "j_max"):
+        bound = getattr(arm.limits, name)
+        if not np.isfinite(bound).all():
+            joint = arm.joint_names[int(np.isinf(bound).argmax())]
+            raise InputError(f"{name}: {joint} has no limit, and without one there is no time-optimal motion; set a finite one")
+    limits = arm.limits.at_speed(speed)
+    return arm if limits is arm.limits else arm.with_limits(limits)
+
+
+def start_state(arm: Arm, q_start: ArrayLike | Setpoint) -> Setpoint:
+    """A caller's start: at rest at joint positions, or in motion if it is a setpoint.
+
+    LimitError if its positions are outside the limits. Velocity and acceleration may be beyond theirs, as measured ones are
+    or after the limits have fallen: a motion first brakes into the limits.
+    """
+    if not isinstance(q_start, Setpoint):
+        zero = np.zeros(arm.n)
+        return Setpoint(arm.checked("q_start", q_start), zero, zero)
+    q = arm.checked("q_start", q_start.q)
+    return Setpoint(q, vector("q_start.v", q_start.v, arm.n), vector("q_start.a", q_start.a, arm.n))
+
+
+def limits_from(limits: Limits, start: Setpoint) -> Limits:
+    """Limits that a motion from a start can keep: where the start leads beyond one, the least excess.
+
+    While the motion brakes into the limits, these are what it is judged by.
+    """
+    v_max, a_max, _ = unavoidable_bounds((limits.v_max, limits.a_max, limits.j_max), JointState(start.q, start.v, start.a))
+    if (v_max == limits.v_max).all() and (a_max == limits.a_max).all():
+        return limits
+    return replace(limits, v_max=v_max, a_max=a_max)

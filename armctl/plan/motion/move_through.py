@@ -1,0 +1,161 @@
+"""move_through: one motion through many joint positions, without stopping at them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.core.errors import InputError, PlanError
+from armctl.core.limits import Limits
+from armctl.core.validation import Array, matrix, vector
+from armctl.model.arm.arm import Arm
+from armctl.model.collision.interface import MovingJoints
+from armctl.plan.motion.checks import planning_arm
+from armctl.plan.motion.move_j import move_j
+from armctl.plan.motion.sections import Via, is_limited, pause, within_sections
+from armctl.plan.motion.timing.otg import slowed_to_bounds, straight_rest_to_rest
+from armctl.plan.motion.timing.waypoint_path import Passage, along_smooth_paths, may_be_smooth, straight_runs
+from armctl.plan.motion.timing.waypoint_timing import Candidate, WaypointSearch
+from armctl.plan.motion.torque_limits import slowed_relative_to, within_torque
+from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, joined
+from armctl.plan.motion.trajectory.limit_check import is_inside
+from armctl.plan.motion.trajectory.piecewise import standing
+
+_SAME_DURATION = 1e-9  # relative
+_SAME_WAYPOINT = 1e-9  # rad (m); closer waypoints count as one
+_TOO_CLOSE = "move_through: rounding takes every motion through these waypoints outside the limits; place them farther apart"
+
+
+def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, speed: float = 1.0) -> JointTrajectory:
+    """The motion through every waypoint without stopping, at rest at the first and the last.
+
+    Between waypoints each joint moves independently, jerk-limited and inside its position limits; the velocities and
+    accelerations at the waypoints are optimized. If a motor would saturate, the motion is slower on the
+    same path, and `slowed` contains the factor. It is never slower than `move_j` from waypoint to waypoint.
+
+    Dense waypoints, as of a recording, determine the path; then the motion is about as fast as a smooth path through them
+    permits, on a line as fast as `move_j`. Each one is passed exactly, so that noise in a recording costs time.
+
+    Args:
+        waypoints: (k, n) rad, at least two, each inside the limits; the first is the start. A `Via` instead of a row
+            also contains speed, acceleration and payload of the section that ends at it, and a pause.
+        speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
+
+    Raises:
+        InputError: A wrong shape, a number that is not finite, or an arm without finite limits.
+        LimitError: A position outside the limits.
+        PlanError: A motor cannot hold the arm at some point of the path.
+    """
+    planning = planning_arm(arm, speed)
+    vias = _vias(arm, waypoints)
+    motions: list[JointTrajectory] = []
+    begin = 0
+    for k in range(1, len(vias)):
+        if vias[k].dwell or k == len(vias) - 1:
+            motions.append(_flowing(arm, planning.limits, vias[begin : k + 1], speed))
+            if vias[k].dwell:
+                motions.append(pause(arm, np.asarray(vias[k].q), vias[k].dwell))
+            begin = k
+    return joined(motions)
+
+
+def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Via]:
+    items: list[Any] = list(waypoints) if isinstance(waypoints, (list, tuple)) else []
+    if any(isinstance(each, Via) for each in items):
+        vias = [each if isinstance(each, Via) else Via(each) for each in items]
+        rows = [vector(f"waypoints[{i}]", via.q, arm.n) for i, via in enumerate(vias)]
+    else:
+        rows = list(matrix("waypoints", waypoints, arm.n))  # type: ignore[arg-type]
+        vias = [Via(row) for row in rows]
+    if len(rows) < 2:
+        raise InputError(f"waypoints: expected at least 2, got {len(rows)}; the first one is the start of the motion")
+    return [replace(via, q=arm.checked(f"waypoints[{i}]", row)) for i, (via, row) in enumerate(zip(vias, rows, strict=True))]
+
+
+def _flowing(arm: Arm, limits: Limits, vias: Sequence[Via], speed: float) -> JointTrajectory:
+    """The motion through waypoints from rest to rest."""
+    points = np.array([via.q for via in vias])
+    apart = np.abs(np.diff(points, axis=0)).max(axis=1) > _SAME_WAYPOINT
+    points = points[np.concatenate([[True], apart])]
+    sections = [section for section, is_apart in zip(vias[1:], apart, strict=True) if is_apart]
+    if len(points) == 1:
+        return JointTrajectory(*standing(points[0]), arm.joint_names, arm.limits, units=arm.units)
+    search = WaypointSearch(points, limits)
+    passage = _fastest(search, may_be_smooth(points, limits))
+    free = _trajectory(arm, passage)
+    if any(map(is_limited, sections)):
+        return within_sections(arm, free, passage.times[1:], sections)
+    lines = points[straight_runs(points)]
+    try:
+        motion = within_torque(arm, free)
+    except PlanError:
+        return slowed_relative_to(arm, _stopping_at_each(arm, lines, speed), free)
+    if motion is not free and motion.duration > (1 + _SAME_DURATION) * _least_stopping_time(lines, limits):
+        # Torque limits can slow the flowing motion down more than one that stops.
+        motion = min(motion, _stopping_at_each(arm, lines, speed), key=lambda each: each.duration)
+    return motion if motion is free else slowed_relative_to(arm, motion, free)
+
+
+def _stopping_at_each(arm: Arm, points: Array, speed: float) -> JointTrajectory:
+    """Straight moves from waypoint to waypoint, within the torque limits."""
+    return joined([move_j(arm, start, goal, speed=speed) for start, goal in pairwise(points)])
+
+
+def _least_stopping_time(points: Array, limits: Limits) -> float:
+    """s, of straight moves from waypoint to waypoint without torque limits."""
+    bounds = (limits.v_max, limits.a_max, limits.j_max)
+    return sum(float(straight_rest_to_rest(start, goal, bounds).knots[-1]) for start, goal in pairwise(points))
+
+
+def through_waypoints(arm: MovingJoints, points: Array) -> JointTrajectory:
+    """As `move_through` without the torque limits, for a few checked points that differ from their neighbors."""
+    return _trajectory(arm, _fastest(WaypointSearch(points, arm.limits), is_smooth=False))
+
+
+def _trajectory(arm: MovingJoints, passage: Passage) -> JointTrajectory:
+    return JointTrajectory(*passage.pieces, arm.joint_names, arm.limits, units=arm.units)
+
+
+def _fastest(search: WaypointSearch, is_smooth: bool) -> Passage:
+    """The fastest motion that is found inside all limits but those of the torque.
+
+    Through dense points the search gets stuck. If they may be on a smooth path, the path is timed, and the search also started
+    near its motion.
+    """
+    stopping = search.stopping()
+    found = [_within_limits(search, search.fastest(stopping))]
+    if is_smooth:
+        along_paths = [_inside(passage, search.limits) for passage in along_smooth_paths(search.q, search.limits)]
+        found += along_paths
+        nearest = _shortest(along_paths)
+        if nearest is not None:
+            found.append(_within_limits(search, search.fastest(stopping, nearest)))
+    passage = _shortest(found) or _within_limits(search, stopping)
+    if passage is None:
+        raise PlanError(_TOO_CLOSE)
+    return passage
+
+
+def _shortest(passages: Sequence[Passage | None]) -> Passage | None:
+    return min((each for each in passages if each is not None), key=lambda each: each.times[-1], default=None)
+
+
+def _within_limits(search: WaypointSearch, candidate: Candidate) -> Passage | None:
+    """The motion of a candidate of the search; None if rounding takes it out of its limits."""
+    try:
+        return _inside(search.passage(candidate), search.limits)
+    except PlanError:
+        return None
+
+
+def _inside(passage: Passage, limits: Limits) -> Passage | None:
+    """A motion slowed down to its limits; None if rounding takes it out of them."""
+    pieces = slowed_to_bounds(passage.pieces, (limits.v_max, limits.a_max, limits.j_max))
+    if not is_inside(pieces, limits):
+        return None
+    return Passage(pieces, passage.times * (pieces.knots[-1] / passage.times[-1]))

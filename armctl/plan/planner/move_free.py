@@ -1,0 +1,450 @@
+"""move_free: from one configuration to a goal around all obstacles, proved over the whole motion.
+
+The path has straight lines in joint space, each proved over its whole length. RRT-Connect: J. J. Kuffner, S. M. LaValle,
+"RRT-Connect: an efficient approach to single-query path planning", ICRA 2000. Shortcuts: R. Geraerts, M. H. Overmars,
+"Creating high-quality paths for motion planning", IJRR 26 (2007). Samples are counted and seeded; no clock decides.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import reduce
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl._core import Hit, RrtConnect
+from armctl.core.errors import InputError, PlanError, UnknownNameError
+from armctl.core.limits import Limits
+from armctl.core.pose import Pose, computed_pose
+from armctl.core.target import Target
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array, integer, number, shown
+from armctl.model.arm.arm import Arm, check_arm
+from armctl.model.collision.checker import CollisionChecker
+from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
+from armctl.model.collision.clearance import PiecewiseTrajectory, clearance_of
+from armctl.model.collision.interface import KeptAxis, MovingJoints
+from armctl.model.mjmodel.queries import object_id
+from armctl.plan.ik.solve import solve_ik
+from armctl.plan.motion.checks import planning_arm, start_state
+from armctl.plan.motion.move_j import move_j
+from armctl.plan.motion.move_through import through_waypoints
+from armctl.plan.motion.moving_start import begun_moving, stop_from
+from armctl.plan.motion.torque_limits import within_torque
+from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
+
+_IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
+_MAX_IK_TRIES = 500  # as long as no solution is free
+_MAX_ROOTS = 8  # of the goal tree, for each pose or point
+_SAME_CONFIGURATION = 1e-3  # rad
+_MIN_CLEARANCE_M = 1e-5  # of a motion, where start and goal leave it: how fine a proof is follows from the clearance
+_REPAIRS = 14  # points that are added where a smooth motion leaves the free path
+_REPAIR_MARGIN = 0.25  # of a line: an added point keeps so far from its ends
+
+FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: the type ArrayLike includes Sequence
+CLEARANCE_M = 2e-3
+MAX_SAMPLES = 20_000
+_SAMPLES_PER_CALL = 256  # between two calls of the core the program can be interrupted
+_SHORTCUTS = 100
+_MIN_GAIN = 1e-3  # of the path's length: less is no gain
+_MAX_IDLE_SHORTCUTS = 25  # in a row without a gain
+
+
+class FreeSpace(NamedTuple):
+    """What a motion must keep, and the checker that proves it."""
+
+    checker: CollisionChecker  # what may not be touched
+    clearance: float = CLEARANCE_M  # m, from everything
+    keep: KeptAxis | None = None  # an axis of the tip that keeps its direction
+
+    def line_is_free(self, start: Array, end: Array) -> bool:
+        """Whether a straight line between two configurations is proved."""
+        return self.checker.line_hit(start, end, self.clearance, self.keep) is None
+
+    def motion_hit(self, motion: PiecewiseTrajectory) -> Hit | None:
+        """Where a motion is not known to keep it; None if it is proved."""
+        return self.checker.motion_hit(motion.knots, motion.coefficients, self.clearance, self.keep)
+
+    def least_distance(self, motion: PiecewiseTrajectory) -> float:
+        """m, that a motion which touches nothing is proved to keep; infinite if nothing can touch."""
+        if not len(self.checker.geometry.pairs):
+            return math.inf
+        return self.checker.closest_approach(motion.knots, motion.coefficients, 0.0).bound
+
+
+def spaces_between(space: FreeSpace, ends: Sequence[Array]) -> Iterator[tuple[FreeSpace, FreeSpace]]:
+    """The spaces of a path and of the smooth motion along it, between ends that may be nearer to something than the clearance.
+
+    In the first ones, only those pairs come nearer that are so at an end, which leaves half of their distance there; in the
+    last ones all pairs may.
+    """
+    checker = space.checker
+    distance = min(checker.nearest(q)[1] for q in ends)
+    least = min(space.clearance, 0.5 * distance)
+    least_of_motion = max(0.5 * least, min(_MIN_CLEARANCE_M, 0.5 * distance))
+    if least < space.clearance:
+        clearances = np.full(len(checker.geometry.pairs), space.clearance)
+        for q in ends:
+            near = checker.near(q, np.zeros(len(q)), 1.0, np.full(len(clearances), 2.0 * space.clearance))
+            clearances[near.pairs] = np.minimum(clearances[near.pairs], 0.5 * near.distances)
+        clearances = np.maximum(clearances, least)
+        of_motion = np.maximum(0.5 * clearances, least_of_motion)
+        yield (
+            space._replace(checker=checker.with_clearances(clearances - least), clearance=least),
+            space._replace(checker=checker.with_clearances(of_motion - least_of_motion), clearance=least_of_motion),
+        )
+    yield space._replace(clearance=least), space._replace(clearance=least_of_motion)
+
+
+class FreePath(NamedTuple):
+    """A path."""
+
+    points: Array  # (k, n) rad; every line between neighbors is proved free
+    samples: int  # how many random configurations it took
+
+
+def find_path(space: FreeSpace, start: Array, goals: Array, limits: Limits, rng: np.random.Generator) -> FreePath | None:
+    """A path from a configuration (n,) to any of some others (g, n), all of them free; None after `MAX_SAMPLES` samples."""
+    for goal in goals:
+        if space.line_is_free(start, goal):
+            return FreePath(np.array([start, goal]), 0)
+    # Samples are drawn within the limits, and within half a turn around the ends where a joint has wide ones or none.
+    ends = np.vstack([start, goals])
+    low = np.maximum(limits.q_min, ends.min(axis=0) - np.pi)
+    high = np.minimum(limits.q_max, ends.max(axis=0) + np.pi)
+    capacity = len(goals) + 2 * MAX_SAMPLES + 2
+    trees = RrtConnect(space.checker.proof(space.keep), space.clearance, start, goals, low, high, capacity)
+    taken = 0
+    while taken < MAX_SAMPLES:
+        samples = rng.uniform(low, high, (min(_SAMPLES_PER_CALL, MAX_SAMPLES - taken), len(start)))
+        taken += trees.grow(samples)
+        path = trees.path()
+        if path:
+            return FreePath(np.array(path), taken)
+    return None
+
+
+def shorten(space: FreeSpace, path: Array, rng: np.random.Generator) -> Array:
+    """The path (k, n) without the points that it does not need, and with random shortcuts: (l, n) with the same ends."""
+    points = list(path)
+    for point in itertools.count():
+        if point + 2 >= len(points):
+            break
+        farthest = len(points) - 1
+        while farthest > point + 1 and not space.line_is_free(points[point], points[farthest]):
+            farthest -= 1
+        del points[point + 1 : farthest]
+    idle = 0
+    for shares in np.sort(rng.uniform(size=(_SHORTCUTS, 2))):
+        if len(points) < 3 or idle > _MAX_IDLE_SHORTCUTS:
+            break
+        idle = 0 if _take_shortcut(space, points, shares) else idle + 1
+    return np.array(points)
+
+
+def _take_shortcut(space: FreeSpace, points: list[Array], shares: Array) -> bool:
+    """Goes straight between two places on a path, given by their shares of its length; returns whether it can."""
+    lengths = [_distance(a, b) for a, b in itertools.pairwise(points)]
+    total = sum(lengths)
+    low, high = (shares * total).tolist()
+    first, begin = _place_on(points, lengths, low)
+    last, end = _place_on(points, lengths, high)
+    gain = high - low - _distance(begin, end)
+    if first == last or gain < _MIN_GAIN * total or not space.line_is_free(begin, end):
+        return False
+    points[first + 1 : last + 1] = [begin, end]
+    point = max(first - 1, 0)
+    while point < first + 4 and point + 2 < len(points):
+        if space.line_is_free(points[point], points[point + 2]):
+            del points[point + 1]
+        else:
+            point += 1
+    return True
+
+
+def _place_on(points: list[Array], lengths: list[float], distance: float) -> tuple[int, Array]:
+    """The number of the line of a path at a distance from its start, and the configuration there."""
+    starts = list(itertools.accumulate(lengths[:-1], initial=0.0))
+    line = bisect_right(starts, distance) - 1
+    share = (distance - starts[line]) / lengths[line] if lengths[line] > 0.0 else 0.0
+    return line, points[line] + share * (points[line + 1] - points[line])
+
+
+def _distance(first: Array, second: Array) -> float:
+    """rad; not by BLAS, whose last bits depend on the machine."""
+    return math.sqrt(sum(((second - first) ** 2).tolist()))
+
+
+def move_free(
+    arm: Arm,
+    q_start: ArrayLike | Setpoint,
+    goal: FreeGoal,
+    *,
+    clearance: float = CLEARANCE_M,
+    allow: Iterable[tuple[str, str]] = (),
+    holding: str | Iterable[str] | None = None,
+    keep: str | None = None,
+    keep_within: float = KEEP_WITHIN_RAD,
+    speed: float = 1.0,
+    seed: int = 0,
+) -> JointTrajectory:
+    """A motion around obstacles, at rest at its end: jerk-limited, torque-limited, and proved to touch nothing.
+
+    The result is the straight move if it is proved free. Otherwise RRT-Connect finds a path of proved lines, which is
+    shortened and timed by `move_through`; if the smooth motion is too near to a body, points of the path are added.
+    The proof covers the whole continuous motion (`check_clearance`), with the geometry that MuJoCo collides and everything
+    outside the chain at home. Nothing depends on a clock: the same seed gives the same bits.
+
+    Args:
+        arm: The arm, in its scene.
+        q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves. The arm then slows down as fast as it
+            can, and turns to the way around the obstacles meanwhile.
+        goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which one is reached. For
+            an arm of three joints three numbers are a configuration; `Target.read(point)` is a point.
+        clearance: m, of the path; the smooth motion keeps half of it. Two bodies that are nearer at the start or the goal may
+            come as near during the motion, all bodies only if there is no other way.
+        allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.
+        holding: A body, or several, that the tip carries from where they are at the start.
+        keep: "x", "y" or "z": the axis of the tip that keeps the direction it has at the start, as for a glass. This is proved,
+            too.
+        keep_within: rad that this axis may tilt.
+        speed: Fraction of the full speed, in (0, 1].
+        seed: Of the random samples.
+
+    Raises:
+        InputError: An argument of the wrong kind, a negative clearance, or an arm without finite limits.
+        LimitError: A configuration outside the limits, or a start so fast that the arm cannot stop inside them.
+        ModelError: The scene has a height field or signed distance field that the arm could touch.
+        PlanError: Start or goal touches something, the goal cannot be reached, no path was found, or the arm cannot stop before
+            something that it moves towards; the reason names the bodies.
+        UnknownNameError: The model has no body or geom of a name in `allow` or `holding`, or there is no such axis.
+    """
+    check_arm(arm)
+    state = start_state(arm, q_start)
+    start = state.q
+    kept = read_kept_axis(arm, keep, keep_within, start)
+    checker = _checker(arm, start, allow, holding)
+    space = FreeSpace(checker, number("clearance", clearance, 0.0), kept)
+    stop = stop_from(planning_arm(arm, 1.0), state)
+    if stop is None:
+        return move_free_with(space, arm, start, goal, speed=speed, seed=seed)
+    checker.require_provable()
+    free = clearance_of(checker, stop, 0.0, kept)
+    if not free.ok:
+        raise PlanError(f"start: the arm cannot stop in time: {free.reason}; start slower or allow the contact")
+    rest = arm.limits.clamp(stop(stop.duration).q)
+    motion = move_free_with(space, arm, rest, goal, speed=speed, seed=seed)
+    ends = [checker.nearest(q)[1] for q in (start, rest, motion(motion.duration).q)]
+    space = space._replace(clearance=min(0.5 * clearance, 0.25 * min(ends), 0.5 * free.distance))
+    return begun_moving(arm, stop, motion, lambda whole: space.motion_hit(whole) is None)
+
+
+def move_free_with(
+    space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, *, speed: float = 1.0, seed: int = 0
+) -> JointTrajectory:
+    """As `move_free` from a configuration at rest, with a checker of the scene as it is."""
+    arm = planning_arm(arm, speed)
+    checker = space.checker
+    checker.require_provable()
+    rng = np.random.default_rng(integer("seed", seed, 0))
+    require_free_start(checker, start)
+    goals, freest = _goals(space, arm, start, goal, rng)
+    refusal = ""
+    for path_space, motion_space in spaces_between(space, [start, freest]):
+        for configuration in goals:
+            if not motion_space.line_is_free(start, configuration):
+                continue
+            motion = move_j(arm, start, configuration)
+            if motion_space.motion_hit(motion) is None:
+                return motion
+        found = find_path(path_space, start, goals, arm.limits, rng)
+        if found is None:
+            refusal = (
+                f"no collision-free path found after {MAX_SAMPLES} samples with a clearance of "
+                f"{1e3 * path_space.clearance:.2g} mm; another seed, a smaller clearance or a point on the way may help"
+            )
+            continue
+        timed = _timed(motion_space, arm, shorten(path_space, found.points, rng))
+        if timed is not None:
+            return timed
+        refusal = "the path is free, but no motion along it could be proved; try another seed or a smaller clearance"
+    raise PlanError(refusal)
+
+
+def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: str | Iterable[str] | None) -> CollisionChecker:
+    if holding is None:
+        names = []
+    elif isinstance(holding, str):
+        names = [holding]
+    elif isinstance(holding, Sequence) and all(isinstance(name, str) for name in holding):
+        names = list(holding)
+    else:
+        raise InputError(f"holding: expected the name of a body or a list of names, got {shown(holding)}")
+    held = {_body(arm, name): arm.tip_body for name in names}
+    return collision_checker(arm, arm.qpos(start) if held else None, allow, held)
+
+
+def _body(arm: Arm, name: str) -> int:
+    body = object_id(arm.model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if body < 1:
+        raise UnknownNameError.of("body to hold", name, [arm.model.body(i).name for i in range(1, arm.model.nbody)])
+    return body
+
+
+def require_free_start(checker: CollisionChecker, start: Array) -> None:
+    """Raises PlanError if something touches at the start."""
+    pair, distance = checker.nearest(start)
+    if distance <= 0.0:
+        raise PlanError(f"start: {overlap_in_words(checker, start, pair)}; move it apart or allow the contact")
+
+
+def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
+    """Which bodies of a pair overlap, and how deep."""
+    first, second = checker.names(pair)
+    depth = max(checker.depth(q, pair), 0.0)
+    return f"{second} is {1e3 * depth:.1f} mm inside {first}"
+
+
+def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator) -> tuple[Array, Array]:
+    """The free configurations of a goal, nearest to the start first, and the freest of them. Raises PlanError."""
+    checker = space.checker
+    keep = space.keep
+    found: list[Array] = []
+    distances: list[float] = []
+    refusals: list[str] = []
+    for candidate in _goal_list(arm, goal):
+        configurations, refusal = configurations_for(arm, start, candidate, rng, lambda q: checker.nearest(q)[1] > 0.0, keep)
+        refusals += [refusal] if refusal else []
+        for q in configurations:
+            if keep is not None and (tilt := _tilt(arm, q, keep)) >= keep.within:
+                refusals.append(
+                    f"goal: the tip's {keep.name} axis tilts by {tilt:.3g} rad from its direction at the start, "
+                    f"expected less than {keep.within:.3g}"
+                )
+                continue
+            pair, distance = checker.nearest(q)
+            if distance > 0.0:
+                found.append(q)
+                distances.append(distance)
+            else:
+                refusals.append(f"the goal cannot be reached without contact: {overlap_in_words(checker, q, pair)}")
+    if not found:
+        raise PlanError(refusals[0])
+    order = np.argsort([np.linalg.norm(q - start) for q in found], kind="stable")
+    return np.array(found)[order], found[int(np.argmax(distances))]
+
+
+def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
+    """A goal, or a list of goals, as poses, points and configurations."""
+    if isinstance(goal, (Pose, Target)):
+        return [goal]
+    try:
+        is_numbers = np.ndim(goal) == 1 and np.asarray(goal).dtype.kind in "fiub"
+    except ValueError:  # a list of goals of different lengths
+        is_numbers = False
+    goals = [goal] if is_numbers else list(goal) if isinstance(goal, (Sequence, np.ndarray)) else []
+    checked: list[Pose | Target | Array] = []
+    for item in goals:
+        if isinstance(item, (Pose, Target)):
+            checked.append(item)
+            continue
+        numbers = np.asarray(item, dtype=object).reshape(-1)
+        if len(numbers) not in (3, arm.n):
+            raise InputError(f"goal: {item!r:.80} is not a configuration of {arm.n} joints, a Pose or a point of three numbers")
+        checked.append(arm.checked("goal", item) if len(numbers) == arm.n else Target.read(item))
+    if not checked:
+        raise InputError(f"goal: {goal!r:.80} is not a configuration of {arm.n} joints, a Pose, a point or a list of these")
+    return checked
+
+
+def configurations_for(
+    arm: Arm,
+    start: Array,
+    goal: Pose | Target | Array,
+    rng: np.random.Generator,
+    is_free: Callable[[Array], bool],
+    keep: KeptAxis | None = None,
+) -> tuple[list[Array], str]:
+    """Configurations for one goal, and why there is none. More are looked for as long as none of them is free."""
+    if isinstance(goal, np.ndarray):
+        return [goal], ""
+    free_axis = None
+    if keep is not None and isinstance(goal, Target) and goal.pose is None:
+        goal = computed_pose(goal.position, arm.fk(start).rotation)
+        free_axis = keep.name
+    found: list[Array] = []
+    free = 0
+    starts = [start, arm.home, *arm.limits.random(arm.home, _MAX_IK_TRIES, rng)]
+    for tries, q0 in enumerate(starts):
+        if free and tries > _IK_TRIES:
+            break
+        result = solve_ik(arm, goal, q0, free_axis=free_axis)
+        if not result.ok and not found:
+            return [], result.reason  # the solver has tried all its starts
+        if not result.ok or any(np.abs(result.q - q).max() <= _SAME_CONFIGURATION for q in found):
+            continue
+        found.append(result.q)
+        free += is_free(result.q)
+        if free == _MAX_ROOTS:
+            break
+    return found, ""
+
+
+def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:
+    """rad between the axis at a configuration and the direction that it keeps."""
+    axis = arm.fk(q).rotation[:, "xyz".index(keep.name)]
+    return float(np.arctan2(np.linalg.norm(np.cross(axis, keep.direction)), axis @ keep.direction))
+
+
+def _timed(space: FreeSpace, arm: Arm, points: Array) -> JointTrajectory | None:
+    """The fastest smooth motion along a free path that is proved free, within the torques; at worst it stops at each point.
+
+    None if even that one is not proved.
+    """
+    motion = flowing_motion(space, arm, points)
+    if motion is not None:
+        slowed = within_torque(arm, motion)
+        if slowed is motion or space.motion_hit(slowed) is None:
+            return slowed
+    lines = [move_j(arm, a, b) for a, b in pairwise(points)]
+    stopping = reduce(JointTrajectory.then, lines)
+    return stopping if space.motion_hit(stopping) is None else None
+
+
+def flowing_motion(space: FreeSpace, arm: MovingJoints, points: Array) -> JointTrajectory | None:
+    """A smooth motion along a free path that is proved free, without regard to the torques; None if there is none.
+
+    A smooth motion through the points of the path leaves its lines. Where it touches, a point of the line is added and the
+    timing repeated; with enough points the motion follows the lines.
+    """
+    waypoints = list(points)
+    for _ in range(_REPAIRS):
+        motion = through_waypoints(arm, np.array(waypoints))
+        hit = space.motion_hit(motion)
+        if hit is None:
+            return motion
+        line, share = _nearest_line(waypoints, motion(hit.time).q)
+        added = waypoints[line] + share * (waypoints[line + 1] - waypoints[line])
+        waypoints.insert(line + 1, added)
+    return None
+
+
+def _nearest_line(points: list[Array], q: Array) -> tuple[int, float]:
+    """Which line of a path is nearest to a configuration, and where on it, away from its ends."""
+    least = np.inf
+    nearest = (0, 0.5)
+    for line, (begin, end) in enumerate(pairwise(points)):
+        way = end - begin
+        share = float(np.clip((q - begin) @ way / (way @ way), 0.0, 1.0))
+        distance = float(np.linalg.norm(q - begin - share * way))
+        if distance < least:
+            least = distance
+            nearest = (line, float(np.clip(share, _REPAIR_MARGIN, 1.0 - _REPAIR_MARGIN)))
+    return nearest

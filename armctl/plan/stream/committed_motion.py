@@ -1,0 +1,204 @@
+"""Plans what a stream commits to: through the wanted states as far as limits allow, and then to rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array
+from armctl.model.arm.arm import Arm
+from armctl.plan.motion.checks import limits_from
+from armctl.plan.motion.timing.otg import JointState, Profile, ProfileSolver
+from armctl.plan.motion.torque_limits import InverseDynamics
+from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE, each_inside, is_inside
+from armctl.plan.motion.trajectory.piecewise import Pieces, Samples, basis, hermite, joined, quintics, sample
+from armctl.plan.stream.timed_targets import Knots
+
+if TYPE_CHECKING:
+    from armctl.model.collision.checker import CollisionChecker
+
+# Factors on acceleration limits that are tried one after another where motors are too weak; squared for jerk.
+_SLOWER = (1.0, 0.5, 0.25)
+_TORQUE_STEP_S = 0.01  # between samples of the torques
+_TORQUE_MARGIN = 0.02  # of the limits, for what is between the samples
+_CLEARANCE_M = 1e-3
+_MIN_SEGMENT_S = 1e-3
+_WAY_SHARES = (0.5, 0.25, 0.12, 0.0)  # of the way to a place that is refused; shorter motions are slower
+
+
+class Refused(NamedTuple):
+    time: float  # s into the motion, when the reason occurs; infinite if that is not known
+    reason: str  # what is in the way, for example
+
+
+class CommittedMotion:
+    """Plans motions of an arm that keep all limits and end at rest, and that nobody refuses."""
+
+    def __init__(self, arm: Arm, checker: CollisionChecker | None = None, refusal: Callable[[Pieces], str] | None = None):
+        self._limits = arm.limits
+        limits = arm.limits
+        self._solvers = [ProfileSolver(limits.v_max, s * limits.a_max, s**2 * limits.j_max) for s in _SLOWER]
+        self._zero = [0.0] * arm.n
+        self._q_min = (limits.q_min - POSITION_TOLERANCE).tolist()
+        self._q_max = (limits.q_max + POSITION_TOLERANCE).tolist()
+        self._dynamics = InverseDynamics(arm)
+        self._tau_max = (1 - _TORQUE_MARGIN) * limits.tau_max
+        self.checker = checker  # proves motions free of contact; None if contacts are allowed
+        self.refusal = refusal  # why a motion, as polynomials from now on, may not be made; empty if it may. None if all may
+        self.obstacle = ""  # why the last motion that was wanted was refused; empty if it was not
+
+    def plan(self, start: JointState, now: float, knots: Knots) -> Pieces | None:
+        """A motion through the wanted states, over times from 0, that stops before an `obstacle`; None if none was found."""
+        self.obstacle = ""
+        for solver in self._solvers:
+            pieces = self._motion(solver, start, now, knots)
+            if pieces is None or not self._is_feasible(pieces):
+                continue
+            refused = self._refused(pieces)
+            return pieces if refused is None else self._before(refused, solver, start, now, knots)
+        return None
+
+    def to_rest(self, start: JointState, goal: Array) -> Pieces | None:
+        """The fastest motion to rest at a place (n,); None if it breaks a limit, or is refused for an `obstacle`."""
+        self.obstacle = ""
+        state = _lists(start)
+        for solver in self._solvers:
+            profile = solver.to_rest(state, goal.tolist(), self._q_min, self._q_max)
+            if profile is not None and self._is_feasible(profile.pieces(state)):
+                pieces = profile.pieces(state)
+                refused = self._refused(pieces)
+                self.obstacle = "" if refused is None else refused.reason
+                return pieces if refused is None else None
+        return None
+
+    def stop(self, start: JointState) -> Pieces | None:
+        """A stop from a state, as fast as the limits allow; None if none was found."""
+        state = _lists(start)
+        for solver in self._solvers:
+            profile = self._inside(solver.stop(state))
+            if profile is not None and self._is_feasible(profile.pieces(state)):
+                return profile.pieces(state)
+        return None
+
+    def _motion(self, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
+        """Through the wanted states in time as far as that is inside the limits; then the fastest motion that rejoins them."""
+        if solver is self._solvers[0]:
+            for followed, after in self._followed(start, now, knots):
+                motion = self._rejoining(solver, start, now, knots, [followed], after)
+                if motion is not None:
+                    return motion
+        return self._rejoining(solver, start, now, knots, [], 0)
+
+    def _followed(self, start: JointState, now: float, knots: Knots) -> Iterator[tuple[Pieces, int]]:
+        """Smooth ways to and along the wanted states, as far as they keep the limits, each with the number of the next one."""
+        t = knots.t - now
+        states = Samples(*knots[1:4])
+        first = np.array([join.start for join in knots.joins], dtype=np.int64)
+        starts = Samples(*(np.tile(x, (len(first), 1)) for x in start))
+        joining = quintics(t[first], starts, Samples(*(x[first] for x in states)))
+        gentle = np.abs(6.0 * joining[:, 3]) <= (1 + RATIO_TOLERANCE) * self._limits.j_max  # the jerk at the start
+        possible = np.flatnonzero(gentle.all(axis=1))
+        if not len(possible):
+            return
+        # All ways share what follows, and many pieces are checked in hardly more time than one.
+        following = hermite(t, *states).coefficients
+        steps = np.concatenate([t[first[possible]], np.diff(t)])
+        inside = each_inside(np.concatenate([joining[possible], following]), steps, self._limits)
+        for k in possible[inside[: len(possible)]]:
+            join = knots.joins[k]
+            last = int(first[k]) + 1
+            end = len(t) if join.stop is None else min(join.stop, len(t))
+            while last < end and inside[len(possible) + last - 1]:
+                last += 1
+            if join.stop is None or last == end:
+                coefficients = np.concatenate([joining[k : k + 1], following[first[k] : last - 1]])
+                followed = Pieces(np.append(0.0, t[first[k] : last]), coefficients)
+                yield followed, last if join.stop is None else len(t)
+
+    def _rejoining(
+        self, solver: ProfileSolver, start: JointState, now: float, knots: Knots, parts: list[Pieces], first: int
+    ) -> Pieces | None:
+        """Some parts, then each wanted state from one on that can be reached in time, one after another, and then rest."""
+        state = end_state(parts[-1]) if parts else start
+        t = now + sum(float(part.knots[-1]) for part in parts)
+        for k in range(first, len(knots.t)):
+            time = float(knots.t[k]) - t
+            if time < _MIN_SEGMENT_S:
+                continue
+            goal = JointState(knots.q[k].tolist(), knots.v[k].tolist(), self._zero)
+            profile = self._inside(solver.solve(_lists(state), goal, shortest=time))
+            if profile is None or profile.duration > time * (1 + 1e-9):
+                continue
+            part = profile.pieces(_lists(state))
+            parts.append(part)
+            state = end_state(part)
+            t += float(part.knots[-1])
+        # The fastest motion to rest, or if that leaves the limits the fastest stop.
+        state = _lists(state)
+        profile = solver.to_rest(state, knots.rest.tolist(), self._q_min, self._q_max) or self._inside(solver.stop(state))
+        return None if profile is None else joined([*parts, profile.pieces(state)])
+
+    def _inside(self, profile: Profile | None) -> Profile | None:
+        """The profile, if it stays inside the position limits."""
+        return profile if profile is not None and profile.stays_inside(self._q_min, self._q_max) else None
+
+    def _is_feasible(self, pieces: Pieces) -> bool:
+        """Whether a motion keeps all limits that its start allows. A slower stop may come too late for those of a fast arm."""
+        start = Setpoint(*(x[0] for x in sample(pieces, np.zeros(1))))
+        return is_inside(pieces, limits_from(self._limits, start)) and self._has_torque(pieces)
+
+    def _has_torque(self, pieces: Pieces) -> bool:
+        """Whether the motors can follow, at the knots, where accelerations are extreme, and between them."""
+        duration = float(pieces.knots[-1])
+        times = np.union1d(pieces.knots, np.linspace(0.0, duration, 2 + int(duration / _TORQUE_STEP_S)))
+        torques = np.abs(self._dynamics.total(*sample(pieces, times)))
+        # A motor that cannot even hold its joint here must not keep the arm from moving to where it can.
+        return bool((torques <= np.maximum(self._tau_max, torques[0])).all())
+
+    def _refused(self, pieces: Pieces) -> Refused | None:
+        """Why a motion may not be made; None if it may."""
+        if pieces.knots[-1] == 0.0:
+            return None
+        hit = None if self.checker is None else self.checker.motion_hit(pieces.knots, pieces.coefficients, _CLEARANCE_M)
+        if self.checker is not None and hit is not None:
+            first, second = self.checker.names(hit.pair)
+            return Refused(hit.time, f"{second} would touch {first}")
+        reason = "" if self.refusal is None else self.refusal(pieces)
+        return Refused(np.inf, reason) if reason else None
+
+    def _before(self, refused: Refused, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
+        """The longest of some beginnings of the motion that end at rest and are not refused; None if there is none."""
+        self.obstacle = refused.reason
+        for shorter in _shorter(knots, start, int(np.searchsorted(knots.t - now, refused.time))):
+            # Contact first, because it takes a hundredth of the time.
+            moves = (shorter.rest != start.q).any()
+            if moves and self.checker is not None and self.checker.hit(shorter.rest, _CLEARANCE_M) >= 0:
+                continue
+            pieces = self._motion(solver, start, now, shorter)
+            if pieces is not None and self._refused(pieces) is None and self._is_feasible(pieces):
+                return pieces
+        return None
+
+
+def _shorter(knots: Knots, start: JointState, count: int) -> Iterator[Knots]:
+    """Beginnings of the wanted motion before one of its states, and then places on the way to its rest."""
+    for keep in (count - 1, count // 2):
+        if keep > 0 and (knots.q[keep - 1] != knots.rest).any():
+            joins = tuple(each for each in knots.joins if each.start < keep)
+            yield Knots(knots.t[:keep], knots.q[:keep], knots.v[:keep], knots.a[:keep], knots.q[keep - 1], joins)
+    q = np.asarray(start.q)
+    for share in _WAY_SHARES:
+        yield Knots.resting(q + share * (knots.rest - q))
+
+
+def end_state(pieces: Pieces) -> JointState:
+    q, v, a = np.array(basis(float(pieces.knots[-1] - pieces.knots[-2]))) @ pieces.coefficients[-1]
+    return JointState(q, v, a)
+
+
+def _lists(state: JointState | None) -> JointState:
+    assert state is not None
+    return JointState(*(np.asarray(x).tolist() for x in state))

@@ -1,0 +1,1 @@
+"""How a run went: reports, plots, pages and films."""

@@ -1,0 +1,333 @@
+"""Commands: the moves of one arm, simulated or real."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Unpack
+
+from numpy.typing import ArrayLike
+
+from armctl.control.interface import State
+from armctl.core.errors import InputError
+from armctl.core.log import Log
+from armctl.core.pose import Pose
+from armctl.core.result import MoveResult
+from armctl.core.target import Target, TargetLike
+from armctl.core.trajectory import Trajectory
+from armctl.core.validation import Array, flag, number
+from armctl.model.collision.checker import CollisionChecker
+from armctl.model.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
+from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
+from armctl.plan.motion.move_cartesian import Arc, Line, PathOptions, move_c, move_l, move_path, read_path
+from armctl.plan.motion.move_j import move_j
+from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.plan.motion.trajectory.piecewise import Pieces
+from armctl.plan.planner.move_free import FreeSpace
+from armctl.run.execution.follow import StreamRun, follow
+from armctl.run.execution.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to
+from armctl.run.execution.obstacles import Obstacles
+
+if TYPE_CHECKING:
+    from armctl.report.render.video import Film
+
+
+class PathMoveOptions(PathOptions, total=False):
+    """Options of `Simulation.move_l`, `move_c` and `move_path`, besides those of `PathOptions`.
+
+    Attributes:
+        avoid: Whether a motion that would touch something is refused; True if left out.
+        allow: Pairs of names of bodies or geoms that may touch; none if left out.
+    """
+
+    avoid: bool
+    allow: Iterable[tuple[str, str]]
+
+
+class Commands:
+    """One arm in its scene, commanded by Cartesian or joint targets; the base of `Simulation`.
+
+    Every command starts where the last one ended.
+
+    Attributes:
+        arm: The model of the arm, whose limits hold for all motions.
+        model: The MuJoCo model of the scene.
+        data: Its MjData, for reading.
+    """
+
+    def __init__(self, arms: ControlledArms):
+        """Commands for the only arm of `arms`."""
+        self._arms = arms
+        [self.arm] = arms.arms.values()
+        self.model = arms.drive.model
+        self.data = arms.drive.data
+        self._obstacles = Obstacles(self.arm, self.data)
+
+    @property
+    def log(self) -> Log | None:
+        """The last run, also if an error or Ctrl-C ended it; None before the first.
+
+        After `step` it holds all steps since the last run or reset.
+        """
+        return self._arms.logs.get(self.arm.tip)
+
+    @property
+    def dt(self) -> float:
+        """The tick, s: the plant's step and the control period."""
+        return self._arms.drive.dt
+
+    @property
+    def state(self) -> State:
+        """The state of the arm now; that of a simulation is the true one."""
+        return self._arms.drive.state
+
+    @property
+    def tip(self) -> Pose:
+        """The pose of the tip now, T_world_tip."""
+        return self._arms.tip_pose(self.arm.tip)
+
+    @property
+    def target(self) -> Array:
+        """(3,) m, where the green target is now.
+
+        Raises:
+            ModelError: The arm was loaded from a compiled MjModel without a body named "target".
+        """
+        return target_pose(self.model, self.data).position
+
+    def run(self, trajectory: Trajectory, dwell: float = 0.0) -> Log:
+        """Follows a trajectory that starts now. One that ends moving gives a warning, because its reference stops dead.
+
+        Args:
+            trajectory: The motion; it starts where the arm is, or where its last reference ended. A trajectory of your own that
+                starts elsewhere, such as a step, gives a warning.
+            dwell: s to hold its end.
+
+        Returns:
+            Every tick of it. A run that diverges ends early, and `log.failure` gives the reason.
+
+        Raises:
+            InputError: It is no motion or a motion of other joints, it starts elsewhere, or the dwell time is negative or too
+                long for a log.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        return self._arms.run({self.arm.tip: trajectory}, number("dwell", dwell, 0.0))[self.arm.tip]
+
+    def move_to(
+        self,
+        target: TargetLike,
+        *,
+        speed: float = 1.0,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
+        keep: str | None = None,
+        keep_within: float = KEEP_WITHIN_RAD,
+    ) -> MoveResult:
+        """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
+
+        Args:
+            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
+            speed: Fraction of the full speed, in (0, 1].
+            avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight. An arm whose
+                links lack a collision shape is refused where there is anything around it that it could touch.
+            allow: Pairs of names of bodies or geoms that may touch.
+            keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; needs `avoid`.
+            keep_within: rad that this axis may tilt.
+
+        Returns:
+            The result. No error is raised if the target cannot be reached: `ok` is False, and `reason` gives the reason.
+
+        Raises:
+            InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        goal = Target.read(target)
+        checker = self._checker(avoid, allow)
+        kept = read_kept_axis(self.arm, keep, keep_within, self._start)
+        if kept is not None and checker is None:
+            raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
+        space = None if checker is None else FreeSpace(checker, keep=kept)
+        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed, space))
+
+    def move_j(
+        self, q: ArrayLike, *, speed: float = 1.0, avoid: bool = True, allow: Iterable[tuple[str, str]] = ()
+    ) -> MoveResult:
+        """Moves the joints to a configuration, on a straight line in joint space.
+
+        Args:
+            q: (n,) rad, inside the limits.
+            speed: As for `move_to`.
+            avoid: As for `move_to`.
+            allow: As for `move_to`.
+
+        Returns:
+            The result, measured at the tip.
+
+        Raises:
+            LimitError: A position outside the limits.
+            SimulationError: As for `move_to`.
+        """
+        configuration = self.arm.checked("q", q)
+        goal = Target.read(self.arm.fk(configuration))
+        self.arm.limits.at_speed(speed)
+        checker = self._checker(avoid, allow)
+
+        def plan() -> PlannedMove:
+            if checker is not None:
+                return plan_free(self.arm, goal, self._start, configuration, speed, FreeSpace(checker))
+            return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, configuration, speed=speed))
+
+        return self._move(goal, plan)
+
+    def move_l(self, target: TargetLike, **options: Unpack[PathMoveOptions]) -> MoveResult:
+        """Moves the tip to a target on a straight line.
+
+        Args:
+            target: As for `move_to`.
+            **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
+
+        Returns:
+            The result. A line that leaves the workspace or the limits, or touches something, is not started, and `reason` says
+            where.
+
+        Raises:
+            SimulationError: As for `move_to`.
+        """
+        goal = Target.read(target)
+        end = goal.position if goal.pose is None else goal.pose
+        return self._move_along(goal, partial(move_l, self.arm, self._start, end), **options)
+
+    def move_c(
+        self, via: Pose | ArrayLike, target: TargetLike, *, angle: float | None = None, **options: Unpack[PathMoveOptions]
+    ) -> MoveResult:
+        """Moves the tip on an arc through one point to another.
+
+        Args:
+            via: T_world_tip or (3,) m, a point on the arc.
+            target: As for `move_to`.
+            angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
+            **options: As for `move_l`.
+
+        Raises:
+            InputError: As for `move_to`, or the points are on one line.
+            SimulationError: As for `move_to`.
+        """
+        goal = Target.read(target)
+        end = goal.position if goal.pose is None else goal.pose
+        planner = partial(move_c, self.arm, self._start, via, end, angle=angle)
+        return self._move_along(goal, planner, ends_at_target=angle is None, **options)
+
+    def move_path(
+        self, path: Sequence[Line | Arc | Pose | ArrayLike], *, blend: float = 0.0, **options: Unpack[PathMoveOptions]
+    ) -> MoveResult:
+        """Moves the tip along lines and arcs with rounded corners.
+
+        Args:
+            path: Lines and arcs; a pose or a point is a line to it.
+            blend: m, the radius around each corner in which it is rounded.
+            **options: As for `move_l`.
+
+        Raises:
+            InputError: As for `move_to`, or the path is empty.
+            SimulationError: As for `move_to`.
+        """
+        parts = read_path(path)
+        last = parts[-1]
+        ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
+        planner = partial(move_path, self.arm, self._start, parts, blend=blend)
+        return self._move_along(Target.read(last.target), planner, ends_at_target=ends_at_target, **options)
+
+    def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
+        """Follows a moving target: reads it 50 times per second, and respects all joint limits.
+
+        If the target is out of reach, the tip moves to the closest point.
+
+        Args:
+            target: The name of a body of the model, whose position is followed; or a function of the time since the start, s,
+                that returns T_world_tip or (3,) m.
+            seconds: How long, s, at least a tick.
+
+        Returns:
+            Every tick of it. `log.target` is the target at the end, which `Report` compares with the tip.
+
+        Raises:
+            InputError: A negative time, or a function that raises, or returns neither a pose nor three finite numbers.
+            UnknownNameError: The model has no such body.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        return follow(self._arms, self.arm, target, number("seconds", seconds, self._arms.drive.dt), self._refusal)
+
+    def streaming(self) -> StreamRun:
+        """Opens a stream of targets, from a policy or a device, for a `with`.
+
+        Example::
+
+            with sim.streaming() as run:
+                run.stream.push(run.stream.t, q)
+                run.advance(1 / 30)
+
+        Returns:
+            The run: its `stream` takes targets, and its `advance` lets time pass.
+
+        Raises:
+            LimitError: The arm is outside its limits.
+        """
+        return StreamRun(self._arms, self.arm, self._refusal)
+
+    def _refusal(self, pieces: Pieces) -> str:
+        """Why a motion of a stream may not be made; empty if it may."""
+        return ""
+
+    def record(
+        self, path: str | os.PathLike[str], *, size: tuple[int, int] = (640, 480), quality: str = "fast", speed: float = 1.0
+    ) -> Film:
+        """Makes a video of the last run: the arm, the target, and the path of the tip.
+
+        Args:
+            path: The video, .mp4 or .gif; its folder is made.
+            size: As for `armctl.record`.
+            quality: As for `armctl.record`.
+            speed: As for `armctl.record`.
+
+        Raises:
+            InputError: Nothing has run yet, or the path has another file extension.
+        """
+        if self.log is None:
+            raise InputError("log: nothing has run yet, so there is nothing to film; move first")
+        from armctl.report.render.video import record  # cameras and encoders are loaded when a video is made
+
+        return record(self.log, self.arm, path, size=size, quality=quality, speed=speed)
+
+    @property
+    def _start(self) -> Array:
+        return self._arms.start(self.arm.tip)
+
+    def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:
+        set_target(self.model, self.data, goal.position, None if goal.pose is None else goal.pose.quat)
+        return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)})[self.arm.tip]
+
+    def _move_along(
+        self,
+        goal: Target,
+        planner: Callable[..., JointTrajectory],
+        *,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
+        ends_at_target: bool = True,
+        **speeds: Unpack[PathOptions],
+    ) -> MoveResult:
+        checker = self._checker(avoid, allow)
+        planner = partial(planner, **speeds)
+        return self._move(goal, partial(plan_move, self.arm, goal, planner, ends_at_target=ends_at_target, checker=checker))
+
+    def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
+        """What a move must not touch, where everything is now; None if it may touch anything."""
+        if not flag("avoid", avoid):
+            return None
+        return self._obstacles.checker(allow, self._held)
+
+    @property
+    def _held(self) -> str:
+        """The body that moves with the tip; empty if there is none."""
+        return ""

@@ -1,0 +1,84 @@
+"""What an arm could touch in a simulation, where everything is at this moment."""
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from armctl.core.validation import Array
+from armctl.model.arm.arm import Arm
+from armctl.model.collision.checker import CollisionChecker
+from armctl.model.collision.checkers import collision_checker, read_pairs
+from armctl.model.mjmodel.queries import acts, body_name
+
+_KEPT_CHECKERS = 4  # of the last scenes: building one takes longer than planning in it
+_SAME_M = 1e-6  # rad, m: a smaller displacement is no new scene
+_NOTICED_M = 5e-4  # rad, m: a larger displacement is a new scene for `recent_checker`
+
+
+class Obstacles:
+    """Collision checkers of an arm among loose bodies, fingers and other arms, where a simulation has them now."""
+
+    def __init__(self, arm: Arm, data: mujoco.MjData):
+        self._arm = arm
+        self._data = data
+        self._is_own = np.zeros(arm.model.nq, bool)
+        self._is_own[arm.joint_map.qpos_adr] = True
+        self._checkers: OrderedDict[tuple[object, ...], CollisionChecker] = OrderedDict()
+        self._recent: _Recent | None = None
+
+    def recent_checker(self, held: str = "") -> CollisionChecker:
+        """A checker of the scene up to displacements of half a millimeter. Building a new one takes tens of milliseconds."""
+        outside = self._data.qpos[~self._is_own]
+        recent = self._recent
+        if recent is None or recent.held != held or np.abs(outside - recent.outside).max(initial=0.0) > _NOTICED_M:
+            recent = _Recent(self.checker(held=held), outside, held)
+            self._recent = recent
+        return recent.checker
+
+    def checker(self, allow: Iterable[tuple[str, str]] = (), held: str = "") -> CollisionChecker:
+        """A checker of the scene as it is, in which pairs of names of bodies or geoms may touch.
+
+        A held body moves with the tip, and may keep the contacts it has now, such as with the table it was picked from.
+        """
+        allowed = [*read_pairs(allow), *(touched_by(self._arm.model, self._data, held) if held else ())]
+        qpos = np.array(self._data.qpos)
+        outside = qpos[~self._is_own]
+        is_home = not held and np.abs(outside - self._arm.home_qpos[~self._is_own]).max(initial=0.0) < _SAME_M
+        if is_home and not allowed:
+            return collision_checker(self._arm)
+        key = (repr(allowed), held, np.round(outside / _SAME_M).tobytes(), qpos.tobytes() if held else b"")
+        if key not in self._checkers:
+            carried = {self._arm.model.body(held).id: self._arm.tip_body} if held else {}
+            self._checkers[key] = collision_checker(self._arm, self._at(qpos), allowed, carried)
+            while len(self._checkers) > _KEPT_CHECKERS:
+                self._checkers.popitem(last=False)
+        self._checkers.move_to_end(key)
+        return self._checkers[key]
+
+    def _at(self, qpos: Array) -> Array:
+        """The configuration with the arm inside its limits, where it may have sagged."""
+        own = self._arm.limits.clamp(qpos[self._arm.qpos_adr])
+        qpos[self._arm.joint_map.qpos_adr] = self._arm.joint_map.positions(own)
+        return qpos
+
+
+class _Recent(NamedTuple):
+    checker: CollisionChecker
+    outside: Array
+    held: str
+
+
+def touched_by(model: mujoco.MjModel, data: mujoco.MjData, held: str) -> list[tuple[str, str]]:
+    """What a held body touches now, as pairs of names that may touch."""
+    body = model.body(held).id
+    touched = set()
+    for contact in filter(acts, data.contact):
+        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+        if body in bodies:
+            other = int(contact.geom[1 - bodies.index(body)])
+            owner = int(model.geom_bodyid[other])
+            touched.add((held, body_name(model, owner) if owner else model.geom(other).name))
+    return sorted(pair for pair in touched if pair[1])

@@ -1,0 +1,245 @@
+"""Player: plays motions row by row. What it holds always ends at rest, and a stop never leaves the path.
+
+LinkHost: opens a link, plays motions on it and keeps its readings, in the planner's process or in one of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armctl.core.errors import LinkError
+from armctl.core.limits import Limits
+from armctl.core.validation import Array
+from armctl.plan.motion.trajectory.path_stop import REST_SPEED, stopped
+from armctl.plan.motion.trajectory.piecewise import Pieces, sample, standing
+from armctl.run.links.link import Link, Seen
+
+START_TOLERANCE = 1e-5  # rad, between what the robot was told and the start of a motion; the wire may have single precision
+JOIN_TOLERANCE = 1e-6  # rad, between the end of one motion and the start of the next; single precision is 1e-7
+_NEVER = 2**60
+_IDLE_S = 0.1  # at rest, until a stream ends
+_LEAD_S = 0.02  # between a word and its effect, where time passes by itself
+
+
+class Readings(NamedTuple):
+    """Readings of a stream, one for each tick that was not lost."""
+
+    tick: Array  # (m,)
+    t: Array  # (m,) s
+    q: Array  # (m, n) rad
+    v: Array  # (m, n) rad/s
+    tau: Array  # (m, n) N m
+    sent: Array  # (m, n) rad, the rows that were sent
+
+
+class Progress(NamedTuple):
+    tick: int  # the tick of its last row
+    streaming: bool  # whether it goes on
+    fault: str  # why the robot ended it; empty if it did not
+    stopped: str  # why it was stopped; empty if it was not
+    lost: int  # ticks that were lost since the link was opened
+    readings: Readings  # those since the last question
+
+
+class Played(NamedTuple):
+    first: int  # its first tick
+    reason: str = ""  # why it is not played; empty if it is
+    opens: bool = False  # whether it opens a stream, whose ticks begin with 0
+    late: int = 0  # ticks by which it came too late; the arm then comes to rest on the motion before
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    at: int
+    pieces: Pieces
+    rows: Array
+
+    @classmethod
+    def of(cls, at: int, pieces: Pieces, dt: float) -> _Course:
+        ticks = int(np.ceil(pieces.knots[-1] / dt - 1e-9))
+        return cls(at, pieces, sample(pieces, dt * np.arange(ticks + 1, dtype=np.float64)).q)
+
+    def row(self, tick: int) -> Array:
+        return self.rows[min(max(tick - self.at, 0), len(self.rows) - 1)]
+
+
+class Player:
+    """The rows of one stream. `play` and `stop` may be called by another thread than `next`."""
+
+    def __init__(self, q: Array, dt: float, limits: Limits, lead: int):
+        """A player that stands at q. A word, such as a stop, has its effect after `lead` ticks: a stop has to be planned."""
+        self.tick = -1  # the tick of the last row; -1 before the first
+        self.dt = dt  # s
+        self._limits = limits
+        self._lead = lead
+        self._lock = Lock()
+        self._courses = [_Course.of(0, standing(q), dt)]  # each until the next one begins
+        self._stopped_from = _NEVER
+
+    @property
+    def end(self) -> int:
+        """The first tick at which it rests, if nothing changes."""
+        with self._lock:
+            last = self._courses[-1]
+            return last.at + len(last.rows) - 1
+
+    def next(self, ticks: int = 1) -> Array:
+        with self._lock:
+            self.tick += ticks
+            while len(self._courses) > 1 and self._courses[1].at <= self.tick:
+                self._courses.pop(0)
+            return self._courses[0].row(self.tick)
+
+    def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> Played:
+        """Replaces what follows a tick by a motion to rest."""
+        if np.abs(sample(pieces, pieces.knots[-1:]).v).max() > REST_SPEED:
+            return Played(0, "the motion does not end at rest")
+        with self._lock:
+            first = self.tick + max(self._lead, delay) if at is None else at
+            if self._stopped_from <= first:
+                return Played(first, "the arm was stopped")
+            late = self.tick - first + 1
+            if late > 0:
+                return Played(first, f"the motion came {self.dt * late:.3f} s too late", late=late)
+            before = self._courses[-1]
+            if first < before.at:
+                return Played(first, "the motion starts before the one that was sent last")
+            course = _Course.of(first, pieces, self.dt)
+            gap = float(np.abs(course.rows[0] - before.row(first)).max())
+            if gap > JOIN_TOLERANCE:
+                return Played(first, f"the motion starts {gap:.2g} rad from where the last one is then")
+            self._courses.append(course)
+        return Played(first)
+
+    def stop(self) -> None:
+        """Stops on the path, as soon as the limits allow; motions that come later are not played."""
+        lead = self._lead
+        while self._stopped_from == _NEVER:
+            with self._lock:
+                tick = self.tick + lead
+                course = [each for each in self._courses if each.at <= tick][-1]
+            t = self.dt * (tick - course.at)
+            braked = course
+            if t < course.pieces.knots[-1]:
+                braked = _Course.of(course.at, stopped(course.pieces, self._limits, t), self.dt)
+            with self._lock:
+                if self.tick < tick and course in self._courses:
+                    self._courses = [*self._courses[: self._courses.index(course)], braked]
+                    self._stopped_from = tick
+            lead *= 2  # if planning the stop took too long
+
+
+class LinkHost:
+    """A link with the player of its stream. `play`, `stop` and `poll` may be called by another thread than `advance`."""
+
+    def __init__(self, link: Link):
+        self.link = link
+        self.streaming = False  # whether a stream is open
+        self._lock = Lock()
+        self._player: Player | None = None
+        self._last: Seen | None = None
+        self._kept: list[tuple[int, Seen, Array]] = []
+        self._fault = ""
+        self._stopped = ""
+        self._lost = 0
+        lead = 1 if link.passes_time else round(_LEAD_S / link.dt)
+        self._lead = max(lead, 1)
+
+    def open(self) -> None:
+        self.link.open()
+
+    def read(self) -> Seen:
+        return self._last if self.streaming and self._last is not None else self.link.read()
+
+    def tip(self) -> Array | None:
+        return self.link.tip()
+
+    def recover(self) -> None:
+        self.link.recover()
+        self._fault = ""
+
+    def hand(self, action: str, *arguments: float) -> Any:
+        return self.link.hand(action, *arguments)
+
+    def play(self, pieces: Pieces, at: int | None, limits: Limits, delay: int = 0) -> Played:
+        """Plays a motion to rest from a tick of the open stream, or after some ticks; opens a stream if there is none."""
+        with self._lock:
+            if self.streaming and self._player is not None:
+                return self._player.play(pieces, at, delay)
+            if at is not None:
+                why = self._fault or self._stopped
+                return Played(at, why or "the motion came too late: the stream has ended", late=0 if why else 1)
+        seen = self.link.read()
+        if seen.fault:
+            raise LinkError(seen.fault)
+        start = pieces.coefficients[0, 0]
+        gap = np.abs(seen.q_ref - start)
+        joint = int(gap.argmax())
+        if gap[joint] > START_TOLERANCE:
+            return Played(
+                0,
+                f"joint {joint + 1} of the robot was told {seen.q_ref[joint]:.5f} rad, but the motion starts at "
+                f"{start[joint]:.5f} rad: it moved after the motion was planned; plan again",
+            )
+        player = Player(start, self.link.dt, limits, self._lead)
+        played = player.play(pieces, delay)
+        if played.reason:
+            return played
+        self._stopped = ""
+        self._fault = ""
+        self._kept = []
+        self.link.start()
+        with self._lock:
+            self._player = player
+            self.streaming = True
+        return played._replace(opens=True)
+
+    def stop(self, reason: str) -> None:
+        player = self._player
+        if self.streaming and player is not None:
+            self._stopped = self._stopped or reason
+            player.stop()
+
+    def advance(self) -> None:
+        player = self._player
+        assert player is not None
+        try:
+            ticks, seen = self.link.wait()
+            if seen.fault:
+                raise LinkError(seen.fault)
+            self._lost += ticks - 1
+            row = player.next(ticks)
+            with self._lock:
+                last = player.tick - player.end > _IDLE_S / self.link.dt
+                self.link.send(row, last)
+                self._last = seen
+                self._kept.append((player.tick, seen, row))
+                self.streaming = not last
+        except LinkError as error:
+            with self._lock:
+                self._fault = str(error)
+                self.streaming = False
+
+    def poll(self) -> Progress:
+        """How far the stream is, and the readings since the last question."""
+        with self._lock:
+            kept = self._kept
+            self._kept = []
+            tick = -1 if self._player is None else self._player.tick
+            streaming = self.streaming
+        readings = Readings(
+            tick=np.array([tick for tick, _, _ in kept], dtype=np.float64),
+            t=np.array([seen.t for _, seen, _ in kept]),
+            q=np.array([seen.q for _, seen, _ in kept]),
+            v=np.array([seen.v for _, seen, _ in kept]),
+            tau=np.array([seen.tau for _, seen, _ in kept]),
+            sent=np.array([row for _, _, row in kept]),
+        )
+        return Progress(tick, streaming, self._fault, self._stopped, self._lost, readings)
+
+    def close(self) -> None:
+        self.link.close()

@@ -1,0 +1,96 @@
+"""Link: what the file of one maker implements, and the readings that it gives."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+from armctl.core.validation import Array, instance
+from armctl.run.links.envelope import Envelope
+
+
+class Seen(NamedTuple):
+    """One reading of a robot, in SI units and the order of the arm's joints.
+
+    Attributes:
+        t: s, the robot's clock.
+        q: (n,) rad, measured.
+        v: (n,) rad/s, measured; NaN where the robot does not tell.
+        tau: (n,) N m, by torque sensors; NaN where the robot has none.
+        q_ref: (n,) rad, what the robot was told last, where a motion starts.
+        fault: The maker's words for a reflex or a stop; empty while all is well.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    tau: Array
+    q_ref: Array
+    fault: str = ""
+
+
+@runtime_checkable
+class Link(Protocol):
+    """The way to one robot. It is made without a connection and pickled; `open` connects, in the process that streams.
+
+    Every method raises LinkError if the connection fails or the robot reports a fault.
+
+    Attributes:
+        name: The robot in words, for logs.
+        address: What identifies the robot for this computer, such as a host or a port; empty for a simulation.
+        dt: s, the tick: one row of positions each.
+        envelope: What the maker publishes; None for the limits of the arm's model.
+        rest_speed: rad/s over 50 ms, below which a joint counts as at rest.
+        settle: m, and rad, how near to a target the robot's own servo ends.
+        payload: kg that the robot is set to; None if it has no such setting.
+        passes_time: Whether `wait` makes the time pass, as in a simulation that runs as fast as it can: it needs no process.
+    """
+
+    name: str
+    address: str
+    dt: float
+    envelope: Envelope | None
+    rest_speed: float
+    settle: tuple[float, float]
+    payload: float | None
+    passes_time: bool
+
+    def open(self) -> None:
+        """Connects; nothing moves."""
+        ...
+
+    def read(self) -> Seen:
+        """The robot now, between two streams."""
+        ...
+
+    def tip(self) -> Array | None:
+        """(4, 4) T_base_tip by the maker's own kinematics; None if the robot does not tell."""
+        ...
+
+    def start(self) -> None:
+        """Begins a stream of positions."""
+        ...
+
+    def wait(self) -> tuple[int, Seen]:
+        """Waits for the next tick of a stream: how many ticks passed, more than 1 if some were lost, and a reading."""
+        ...
+
+    def send(self, q: Array, last: bool) -> None:
+        """Sends the row of this tick, (n,) rad. The last one ends the stream; it repeats the row before."""
+        ...
+
+    def recover(self) -> None:
+        """Clears a fault, on the user's word."""
+        ...
+
+    def hand(self, action: str, *arguments: float) -> Any:
+        """What a hand does or tells: `Hand` in `links/hand.py` lists the actions. LinkError if there is none."""
+        ...
+
+    def close(self) -> None:
+        """Disconnects."""
+        ...
+
+
+def check_link(link: Link) -> None:
+    """Raises InputError if an argument `link` is none."""
+    instance("link", link, Link, "armctl.links.Franka('172.16.0.2') is one")

@@ -1,0 +1,220 @@
+"""PlantLink: a simulated robot behind the Link protocol, with a lag, lost ticks and faults, for tests and rehearsals."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.control.computed_torque import ComputedTorque
+from armctl.core.atomic import file_path
+from armctl.core.errors import LinkError
+from armctl.core.trajectory import TickReference
+from armctl.core.validation import Array, flag, instance, integer, vector
+from armctl.model.arm.arm import Arm, check_arm
+from armctl.run.links.envelope import Envelope
+from armctl.run.links.link import Link, Seen
+from armctl.run.links.link_check import base_pose
+from armctl.run.sim.gripper.gripper import Gripper
+from armctl.run.sim.plant import Plant, read_plant
+from armctl.run.sim.stepper import Stepper
+
+_MAX_CONTINUED_TICKS = 20  # without a row, that the servo goes on as before
+
+
+class PlantLink(Link):
+    """A simulated robot with its own servo, computed torque, which knows the positions that it was sent and nothing else.
+
+    Attributes:
+        sent: How many rows it was sent.
+        q_start: (n,) rad, where it stands when the link is opened.
+        dt: s, the tick.
+        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
+    """
+
+    address = ""
+    rest_speed = 1e-3
+    settle = (1e-4, 1e-3)
+
+    def __init__(
+        self,
+        arm: Arm,
+        plant: Plant | None = None,
+        *,
+        q_start: ArrayLike | None = None,
+        lag: int = 0,
+        lost: Mapping[int, int] | None = None,
+        faults: Mapping[int, str] | None = None,
+        envelope: Envelope | None = None,
+        payload: float | None = None,
+        real_time: bool = False,
+        record: str | os.PathLike[str] | None = None,
+    ):
+        """A simulated robot that is not connected yet.
+
+        Args:
+            arm: The robot; that of the program may differ from it.
+            plant: How the robot differs from this arm.
+            q_start: (n,) rad, where it stands; home by default.
+            lag: Ticks until its servo gets a row.
+            lost: How many ticks are lost, by the number of the row before which they are.
+            faults: What the robot reports, by the number of the row at which it does; it then stops until `recover`.
+            envelope: What its maker would publish; by default the limits of the program's arm count.
+            payload: kg that it is set to; None if it has no such setting.
+            real_time: Whether its time is the clock's, in a process of its own; otherwise it runs as fast as it can.
+            record: A file for the rows that it is sent, in binary float64: the time of its tick, s, and n positions.
+
+        Raises:
+            InputError: An argument of another type, or a negative number.
+            LimitError: A start outside the limits.
+        """
+        check_arm(arm)
+        self.plant = read_plant(plant)
+        self.q_start = arm.home if q_start is None else arm.checked("q_start", q_start)
+        self.name = f"simulated {arm.name}"
+        self.dt = arm.dt if self.plant.timestep is None else self.plant.timestep
+        self.envelope = envelope
+        self.payload = payload
+        self.passes_time = not flag("real_time", real_time)
+        self.sent = 0
+        self._arm = arm
+        self._lag = integer("lag", lag, 0)
+        for what, table, kind in (("lost", lost, int), ("faults", faults, str)):
+            if table is not None:
+                instance(what, table, Mapping, "give {row: what happens}")
+                for tick, event in table.items():
+                    instance(what, tick, int, "give {row: what happens}")
+                    instance(what, event, kind, "give {row: what happens}")
+        self._lost = dict(lost or {})
+        self._faults = dict(faults or {})
+        self._record_path = None if record is None else file_path("record", record)
+        self._record: BinaryIO | None = None
+        self._stepper: Stepper | None = None
+        self._fault = ""
+
+    def open(self) -> None:
+        self._stepper = Stepper([self._arm], self.plant)
+        self._stepper.reset(self.q_start)
+        self._servo = ComputedTorque(self._arm)
+        self._gripper: Gripper | None = None
+        self._rows = deque([np.array(self.q_start)] * 3, maxlen=3)
+        self._waiting: deque[tuple[int, Array]] = deque()  # rows on their way, with the tick at which they arrive
+        self._told = np.array(self.q_start)
+        self._tick = 0
+        self._arrived = 0  # the tick at which the last row did
+        self._streaming = False
+        self._pending = 0
+        if self._record_path is not None:
+            self._record = self._record_path.open("ab", buffering=0)
+
+    def read(self) -> Seen:
+        """The robot now; between two streams of a robot in real time, its time goes on."""
+        if not self.passes_time:
+            self._pass(1)
+        return self._seen()
+
+    def tip(self) -> Array | None:
+        stepper = self._simulation()
+        return base_pose(self._arm).inverse().matrix @ stepper.tip_pose(self._arm).matrix
+
+    def start(self) -> None:
+        if self._fault:
+            raise LinkError(self._fault)
+        self._due = time.monotonic()
+        self._pending = 0
+        self._streaming = True
+
+    def wait(self) -> tuple[int, Seen]:
+        ticks = 1 + self._lost.pop(self.sent, 0)
+        if not self.passes_time:
+            self._due += self.dt
+            now = time.monotonic()
+            if now < self._due:
+                time.sleep(self._due - now)
+            else:
+                missed = int((now - self._due) / self.dt)
+                self._due += missed * self.dt
+                ticks += missed
+        self._pass(self._pending + ticks - 1)
+        self._pending = 1
+        if self.sent in self._faults:
+            self._fault = self._faults.pop(self.sent)
+        return ticks, self._seen()
+
+    def send(self, q: Array, last: bool) -> None:
+        if self._fault:
+            raise LinkError(self._fault)
+        q = vector("q", q, self._arm.n)
+        last = flag("last", last)
+        self._simulation()
+        self.sent += 1
+        if self._record is not None:
+            self._record.write(np.append(self.dt * (self._tick + 1), q).tobytes())
+        self._told = q
+        self._waiting.append((self._tick + 1 + self._lag, self._told))
+        if last:
+            self._streaming = False
+            self._pass(1)
+            self._pending = 0
+
+    def recover(self) -> None:
+        self._fault = ""
+        stepper = self._simulation()
+        stepper.failure = ""
+        self._hold(stepper.state.q)
+
+    def hand(self, action: str, *arguments: float) -> Any:
+        if self._gripper is None:
+            self._gripper = Gripper(self._arm, self._simulation(), lambda seconds: self._pass(max(1, round(seconds / self.dt))))
+        if action == "read":
+            return self._gripper.width, self._gripper.width_max, bool(self._gripper.held)
+        return bool(getattr(self._gripper, action)(*arguments))
+
+    def close(self) -> None:
+        if self._record is not None:
+            self._record.close()
+        self._stepper = None
+
+    def _seen(self) -> Seen:
+        stepper = self._simulation()
+        state = stepper.measured_state
+        fault = self._fault or stepper.failure
+        return Seen(state.t, np.array(state.q), np.array(state.v), stepper.motor_torque, self._told, fault)
+
+    def _hold(self, q: Array) -> None:
+        """Forgets all rows, and stands at q."""
+        self._told = np.array(q)
+        self._rows.extend([self._told] * 3)
+        self._waiting.clear()
+
+    def _pass(self, ticks: int) -> None:
+        """Simulates ticks. Where a row is lost, the servo goes on as before; it works one row behind, to know a difference."""
+        stepper = self._simulation()
+        for _ in range(ticks):
+            if self._fault and np.ptp(np.array(self._rows), axis=0).max() > 0.0:
+                self._hold(stepper.state.q)
+            self._tick += 1
+            expected = self._rows[-1]
+            if self._streaming and self._tick - self._arrived < _MAX_CONTINUED_TICKS:
+                expected = 2.0 * expected - self._rows[-2]
+            self._rows.append(expected)
+            while self._waiting and self._waiting[0][0] <= self._tick:
+                self._rows[-1] = self._waiting.popleft()[1]
+                self._arrived = self._tick
+            before, now, after = self._rows
+            v = (now - before) / self.dt
+            a = (after - 2.0 * now + before) / self.dt**2
+            row = TickReference(*(column[None] for column in (now, v, a, v, a)))
+            recorder = stepper.recorder()
+            if not stepper.failure:
+                stepper.run(self._servo, row, recorder)
+
+    def _simulation(self) -> Stepper:
+        if self._stepper is None:
+            raise LinkError(f"{self.name}: the link is not open; give it to an armctl.Robot")
+        return self._stepper

@@ -1,0 +1,370 @@
+"""Robot: the commands of a Simulation, on a robot behind a link."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from armctl.core import hooks
+from armctl.core.errors import InputError, LinkError, ModelError
+from armctl.core.log import Log
+from armctl.core.result import MoveResult
+from armctl.core.target import Target
+from armctl.core.trajectory import Trajectory
+from armctl.core.validation import flag, number
+from armctl.model.arm.arm import Arm
+from armctl.model.collision.checker import CollisionChecker, why_not_checkable
+from armctl.model.loading.load import load
+from armctl.model.mjmodel.target_marker import TARGET
+from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.plan.motion.trajectory.piecewise import Pieces, sample
+from armctl.run.execution.commands import Commands
+from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
+from armctl.run.execution.follow import MovingTarget
+from armctl.run.execution.move import PlannedMove
+from armctl.run.links.dry_run import DryRun, rehearsal_of
+from armctl.run.links.envelope import envelope_of
+from armctl.run.links.hand import Hand
+from armctl.run.links.host import LinkHost
+from armctl.run.links.link import Link, check_link
+from armctl.run.links.link_check import LinkCheck, link_check_of, model_refusal, tip_difference
+from armctl.run.links.link_drive import LinkDrive
+from armctl.run.links.process import RemoteHost
+from armctl.run.links.robot_arms import RobotArms
+
+LEASE_S = 0.5  # without a word of the planner, until the arm brakes
+_SLOWEST = 0.02  # of a motion's speed; one that must be slower is refused
+_SAMPLES = 400
+
+
+class Robot(Commands):
+    """A robot, commanded as a `Simulation` is: the same moves, the same results, the same refusals.
+
+    It is no safety function: an emergency stop, the maker's safety configuration and a fence are the user's.
+
+    Before anything is sent, a motion is proved free of contacts with the model's scene, and its rows are checked against what
+    the maker publishes. They are sent by a process of its own; where the program stops, fails or hangs, the arm brakes on its
+    path. A fault of the robot stays until `recover`.
+
+    Attributes:
+        arm: The model, with the limits of the robot's motions.
+        link: The link, as it was given.
+        lost_ticks: Ticks that the stream lost until now.
+        late_ticks: Ticks by which motions of `follow` came too late until now.
+
+    Example:
+        >>> with armctl.Robot("fr3", armctl.links.Franka("172.16.0.2")) as robot:
+        ...     result = robot.move_to([0.5, 0.2, 0.4])
+    """
+
+    def __init__(
+        self,
+        robot: Arm | str,
+        link: Link,
+        *,
+        speed: float = 0.2,
+        tip_speed: float = 0.25,
+        payload: float = 0.0,
+        allow_contact: bool = False,
+    ):
+        """Connects to a robot, and checks that it is the model's. Nothing moves.
+
+        Args:
+            robot: An arm with its tool and its scene, or a name for `armctl.load`.
+            link: Such as `armctl.links.Franka(host)`; a `DryRun` of it sends nothing.
+            speed: Share of the full speed, acceleration and jerk, in (0, 1].
+            tip_speed: m/s, the greatest speed of the tip.
+            payload: kg at the tip; the robot must be set to the same.
+            allow_contact: Whether motions may be asked for with `avoid=False`, and the arm may have links without a shape.
+
+        Raises:
+            InputError: An argument of another type, or a number out of its bounds.
+            UnknownNameError: There is no such robot.
+            ModelError: The robot's model is no arm, or a link of it has no collision shape and `allow_contact` is False.
+            LinkError: The connection failed, another program has it, or the robot is not the model's.
+        """
+        model = robot if isinstance(robot, Arm) else load(robot)
+        check_link(link)
+        tip_speed = number("tip_speed", tip_speed, 1e-3)
+        payload = number("payload", payload, 0.0)
+        self._allows_contact = flag("allow_contact", allow_contact)
+        if model.unchecked_links and not self._allows_contact:
+            raise ModelError(f"{why_not_checkable(model)}, which a Robot does with allow_contact=True")
+        envelope = link.envelope or envelope_of(model.limits, f"limits of the model {model.name}")
+        if len(envelope.limits.q_min) != model.n:
+            raise LinkError(f"the robot has {len(envelope.limits.q_min)} joints, the model {model.name:.60} has {model.n}")
+        self.link = link
+        arm = model.with_limits(envelope.planning_limits(model.limits, speed))
+        self._lock = _lock(link.address)
+        with contextlib.ExitStack() as failed:
+            failed.callback(self._unlock)
+            self._host = LinkHost(link) if link.passes_time else RemoteHost(link, LEASE_S)
+            failed.callback(self._host.close)
+            self._host.open()
+            refusal = model_refusal(model, self._host.read(), self._host.tip(), link.payload, payload)
+            if refusal:
+                raise LinkError(refusal)
+            self._drive = LinkDrive(arm, self._host, link, envelope, tip_speed)
+            failed.pop_all()
+        self._arms: RobotArms = RobotArms(arm, self._drive, self._provable)
+        super().__init__(self._arms)
+        self._settle = link.settle
+        self._closed = False
+
+    @property
+    def gripper(self) -> Hand:
+        """The robot's hand.
+
+        Raises:
+            LinkError: The robot has none.
+        """
+        hand = Hand(self._host.hand)
+        hand.width  # noqa: B018  # LinkError if there is none
+        return hand
+
+    @property
+    def reaction(self) -> ContactReaction | None:
+        """The reaction to contacts during moves and `run`, "stop" or "retreat"; None for none.
+
+        It is felt in the program, so that the arm brakes about 25 ms later; the robot's own reaction is faster.
+        """
+        return self._arms.reaction
+
+    @reaction.setter
+    def reaction(self, reaction: ContactReaction | None) -> None:
+        if reaction is not None:
+            check_reaction(reaction, self.arm)
+            if reaction.reaction == "float":
+                raise InputError("reaction: a robot takes positions only and cannot float; 'stop' and 'retreat' are possible")
+            seen = self._host.read()
+            if not (np.isfinite(seen.v).all() and np.isfinite(seen.tau).all()):
+                raise InputError(f"reaction: {self.link.name} measures no speeds and torques, so that it feels no contact")
+        self._arms.reaction = reaction
+
+    @property
+    def lost_ticks(self) -> int:
+        """Ticks that the stream lost until now."""
+        return self._drive.lost
+
+    @property
+    def late_ticks(self) -> int:
+        """Ticks by which motions of `follow` came too late until now; after each the arm comes to rest and goes on."""
+        return self._drive.late
+
+    @property
+    def fault(self) -> str:
+        """Why the robot takes no motion until `recover`; empty if it does."""
+        return self._drive.fault
+
+    def recover(self) -> None:
+        """Clears a fault, once you have seen that the robot may move again. Nothing does that by itself.
+
+        Raises:
+            LinkError: The robot cannot be recovered by a program, and what to do.
+        """
+        self._drive.recover()
+
+    def view(self) -> Any:
+        """Opens a page that shows every move: the robot as it measures itself, and a ghost where it was told to be.
+
+        The page commands nothing, and the robot does not wait for it. Call it before the first move: it takes seconds.
+
+        Returns:
+            The page, as `Simulation.viewer`: it has `url`, `wait` and `close`.
+
+        Raises:
+            NotInstalledError: viser or mjviser is missing.
+        """
+        assert hooks.open_viewer is not None
+        viewer = hooks.open_viewer(self.arm)
+        self._drive.observer = viewer.drawing_of_robot(self.link.name).show
+        return viewer
+
+    def check(self, seconds: float = 10.0) -> LinkCheck:
+        """Holds the position for a while, and measures how regularly rows are sent.
+
+        Args:
+            seconds: s.
+
+        Returns:
+            The check: ok if no more than one tick in a hundred was lost.
+
+        Raises:
+            InputError: The time is less than a tick or more than an hour.
+            LinkError: The robot reported a fault before.
+        """
+        seconds = number("seconds", seconds, self.dt, 3600.0)
+        T_base_tip = self._host.tip()
+        difference = np.nan if T_base_tip is None else tip_difference(self.arm, self._host.read().q, T_base_tip)
+        lost = self._drive.lost
+        times = self._drive.hold(seconds)
+        return link_check_of(self._drive, difference, times, self._drive.lost - lost)
+
+    def close(self) -> None:
+        """Brakes if something moves, and disconnects. Leaving a `with` block does the same."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._drive.come_to_rest(stop=True)
+        finally:
+            self._host.close()
+            self._unlock()
+
+    def __enter__(self) -> Robot:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def run(self, trajectory: Trajectory, dwell: float = 0.0) -> Log:
+        """Follows a trajectory that starts where the robot was told last, and ends at rest.
+
+        Args:
+            trajectory: The motion. It is not slowed down: where it exceeds a limit, it is not sent.
+            dwell: s to hold its end.
+
+        Returns:
+            What was sent and measured. `log.failure` gives the reason if the motion was not sent or ended early.
+
+        Raises:
+            InputError: It is no motion or a motion of other joints, it touches something and `allow_contact` is False, or the
+                dwell time is negative or too long for a log.
+            LinkError: The robot reported a fault before.
+        """
+        if not self._allows_contact and isinstance(trajectory, JointTrajectory) and trajectory.n == self.arm.n:
+            reason = self._contact(trajectory.pieces)
+            if reason:
+                raise InputError(f"trajectory: {reason}; give allow_contact=True to the Robot if it may")
+        elif not self._allows_contact and not isinstance(trajectory, JointTrajectory):
+            raise InputError(
+                "trajectory: only a JointTrajectory can be proved free of contact; "
+                "give allow_contact=True to the Robot for another one"
+            )
+        return self._rehearsed(super().run(trajectory, dwell))
+
+    def follow(self, target: MovingTarget = TARGET, *, seconds: float = 10.0) -> Log:
+        """Follows a moving target, as that of a Simulation; every motion to a goal is proved and checked before it is sent.
+
+        Where no such motion leads to a goal, the arm goes as far towards it as one does. If the targets stop coming, the arm
+        comes to rest at the last goal. Where a motion comes too late, because the computer is busy, the arm comes to rest on
+        the one before, and goes on from there; `late_ticks` counts by how much.
+
+        Args:
+            target: As for `Simulation.follow`. A body of the model stays where the model has it.
+            seconds: How long, s. The arm then comes to rest at the last goal.
+
+        Returns:
+            What was sent and measured. `log.failure` gives the reason if it ended early.
+
+        Raises:
+            InputError: As for `Simulation.follow`.
+            UnknownNameError: The model has no such body.
+            LinkError: The robot reported a fault before.
+        """
+        return self._rehearsed(super().follow(target, seconds=seconds))
+
+    def _refusal(self, pieces: Pieces) -> str:
+        """Why a motion of `follow` may not be sent; empty if it may."""
+        return self._drive.refusal(pieces) or ("" if self._allows_contact else self._contact(pieces))
+
+    def _contact(self, pieces: Pieces) -> str:
+        """What a motion touches; empty if it is proved free."""
+        checker = self._obstacles.checker()
+        checker.require_provable()
+        if pieces.knots[-1] == 0.0:
+            return ""
+        hit = checker.motion_hit(pieces.knots, pieces.coefficients, 0.0)
+        return "" if hit is None else "{} and {} would touch".format(*checker.names(hit.pair))
+
+    def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
+        if not flag("avoid", avoid) and not self._allows_contact:
+            raise InputError("avoid: a robot makes a motion that is not proved only if the Robot has allow_contact=True")
+        return super()._checker(avoid, allow)
+
+    def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:
+        def slowed() -> PlannedMove:
+            move = plan()
+            position, angle = self._settle
+            target = replace(
+                move.target,
+                tolerance=max(move.target.tolerance, position),
+                angle_tolerance=max(move.target.angle_tolerance, angle),
+            )
+            return self._slowed(replace(move, target=target))
+
+        result = super()._move(goal, slowed)
+        if result.log is not None:
+            self._rehearsed(result.log)
+        return result
+
+    def _rehearsed(self, log: Log) -> Log:
+        if isinstance(self.link, DryRun):
+            rehearsal = rehearsal_of(log, self._obstacles.checker())
+            self.link.rehearsals.append(rehearsal)
+            print(rehearsal)
+        return log
+
+    def _provable(self, trajectory: JointTrajectory) -> JointTrajectory | None:
+        """A motion at the speed that is allowed; None if it may not be sent."""
+        share, _ = self._speed_share(trajectory.pieces)
+        slow = trajectory if share >= 1.0 else trajectory.scaled(max(share, _SLOWEST))
+        return None if self._refusal(slow.pieces) else slow
+
+    def _slowed(self, move: PlannedMove) -> PlannedMove:
+        """A move at the speed that the tip and the maker's limits near the ends of the joints allow; a refusal if near zero."""
+        trajectory = move.trajectory
+        if not isinstance(trajectory, JointTrajectory):
+            return move
+        share, joint = self._speed_share(trajectory.pieces)
+        if share >= 1.0:
+            return move
+        if share < _SLOWEST:
+            reason = (
+                f"{joint} would be so near to the end of its range that the robot allows it no speed; choose another target"
+            )
+            return replace(move, trajectory=None, refusal=reason)
+        return replace(move, trajectory=trajectory.scaled(share))
+
+    def _speed_share(self, pieces: Pieces) -> tuple[float, str]:
+        """The share of its speed at which a motion may be made, and the joint whose range allows the least."""
+        samples = sample(pieces, np.linspace(0.0, pieces.knots[-1], _SAMPLES))
+        low, high = self._drive.envelope.speed_limits(samples.q)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.where(samples.v > 0.0, high / samples.v, np.where(samples.v < 0.0, low / samples.v, np.inf))
+        tip_share = self._drive.tip_speed / max(self._drive.tip_speed_of(pieces), 1e-9)
+        return 0.99 * min(float(shares.min()), tip_share), self.arm.joint_names[int(shares.min(axis=0).argmin())]
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.close()
+
+
+def _lock(address: str) -> IO[str] | None:
+    """A lock on a robot for this process, released when it ends; None for a simulation."""
+    if not address:
+        return None
+    import fcntl
+
+    name = re.sub(r"[^A-Za-z0-9.]+", "-", address).strip("-")
+    path = Path(tempfile.gettempdir()) / f"armctl-{name}.lock"
+    with contextlib.suppress(OSError):  # another user's file
+        path.touch(mode=0o666)
+    file = open(path, "r+")  # noqa: SIM115  # open as long as the robot is
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        raise LinkError(f"{address}: another program commands this robot; end it first") from None
+    file.truncate(0)
+    file.write(f"{os.getpid()}\n")
+    file.flush()
+    return file

@@ -1,0 +1,188 @@
+"""Simulation: an arm in its scene, commanded in Cartesian or joint targets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.control.computed_torque import ComputedTorque
+from armctl.control.interface import Controller, State
+from armctl.core import hooks
+from armctl.core.errors import LimitError
+from armctl.core.log import Log
+from armctl.core.other_names import with_hints
+from armctl.core.trajectory import TickReference
+from armctl.core.validation import flag, number, vector
+from armctl.model.arm.arm import Arm
+from armctl.model.collision.checker import CollisionChecker
+from armctl.model.loading.load import load
+from armctl.model.mjmodel.queries import has_obstacles
+from armctl.run.execution.commands import Commands
+from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
+from armctl.run.execution.move import read_controller
+from armctl.run.execution.recorder import ticks_for
+from armctl.run.sim.gripper.gripper import Gripper
+from armctl.run.sim.plant import Plant, read_plant
+from armctl.run.sim.simulated_arms import ConstantTorque, SimulatedArms
+from armctl.run.sim.stepper import Stepper
+
+_CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
+
+
+class Simulation(Commands):
+    """An arm in its scene with a controller, commanded by Cartesian or joint targets.
+
+    Every command starts where the last one ended. After Ctrl-C or a failing controller, `log` contains all ticks until then,
+    and the next command continues from there. After a run that diverged, only `reset` helps.
+
+    Attributes:
+        arm: The model of the controller.
+        plant: How the simulated arm differs.
+        data: Its MjData, for reading.
+        viewer: The page that shows the simulation, or None.
+    """
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "q": "sim.state.q",
+                "v": "sim.state.v",
+                "qpos": "sim.state.q",
+                "open_gripper": "sim.gripper.open()",
+                "close_gripper": "sim.gripper.close()",
+                "grasp": "sim.gripper.grasp(force)",
+                "fk": "sim.tip, or sim.arm.fk(q)",
+                "move": "sim.move_to(target)",
+                "movel": "sim.move_l(target)",
+                "plan": "armctl.move_free(arm, start, goal), and sim.run",
+            }
+        )
+
+    def __init__(
+        self, robot: Arm | str, controller: Controller | str | None = None, plant: Plant | None = None, *, viewer: bool = False
+    ):
+        """A simulation with the arm at home, at rest.
+
+        Args:
+            robot: An arm, or a name for `armctl.load`.
+            controller: A controller or its name; computed torque by default.
+            plant: How the simulated arm differs from the model; by default it does not.
+            viewer: Whether a page in the browser shows the simulation in real time.
+
+        Raises:
+            UnknownNameError: There is no such robot or controller.
+            ModelError: The robot's model is no arm.
+        """
+        arm = robot if isinstance(robot, Arm) else load(robot)
+        law = ComputedTorque(arm) if controller is None else read_controller(controller, arm)
+        self.plant = read_plant(plant)
+        self.viewer = hooks.open_viewer(arm) if flag("viewer", viewer) and hooks.open_viewer is not None else None
+        self._stepper = Stepper([arm], self.plant, self.viewer)
+        self._arms: SimulatedArms = SimulatedArms([arm], {arm.tip: law}, self._stepper)
+        super().__init__(self._arms)
+        self._gripper: Gripper | None = None
+
+    @property
+    def controller(self) -> Controller:
+        """The controller. It can be replaced between two commands."""
+        return self._arms.controllers[self.arm.tip]
+
+    @controller.setter
+    def controller(self, controller: Controller | str) -> None:
+        self._arms.controllers[self.arm.tip] = read_controller(controller, self.arm)
+
+    @property
+    def reaction(self) -> ContactReaction | None:
+        """The reaction to contacts during motions; None for none. It can be replaced between two commands."""
+        return self._arms.reaction
+
+    @reaction.setter
+    def reaction(self, reaction: ContactReaction | None) -> None:
+        if reaction is not None:
+            check_reaction(reaction, self.arm)
+        self._arms.reaction = reaction
+
+    @property
+    def measured_state(self) -> State:
+        """The state as the plant's sensors measure it now, with noise; the same until the next tick."""
+        return self._stepper.measured_state
+
+    @property
+    def gripper(self) -> Gripper:
+        """The gripper behind the arm's tip.
+
+        Raises:
+            ModelError: There is none, or it is a hand of many actuators.
+        """
+        if self._gripper is None:
+            self._gripper = Gripper(self.arm, self._stepper, self._arms.hold)
+        return self._gripper
+
+    def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
+        """Sets time to 0, and everything to its initial state.
+
+        Args:
+            q: (n,) rad, the joint positions; home by default.
+            v: (n,) rad/s, the joint velocities; at rest by default.
+
+        Raises:
+            LimitError: A position is half a turn (1 m) or more outside its limits, as degrees are.
+        """
+        if self._gripper is not None:
+            self._gripper.reset()
+        self._arms.reset(q, v)
+
+    def step(self, torque: ArrayLike | None = None) -> State:
+        """Simulates one tick and measures, for control loops of the caller, such as MPC, teleoperation or learning.
+
+        The torque is processed like that of a controller: limited by the motors, delayed and disturbed by the plant, recorded
+        in `log` and shown by the viewer. A loop of `sim.step(controller.torque(sim.measured_state, setpoint))` gives the same
+        bits as `run`.
+
+        Args:
+            torque: (n,) N m; None lets the controller hold the last reference. After a step with a torque, that is the
+                position of the arm.
+
+        Raises:
+            SimulationError: The arm diverged, or the controller failed; `error.log` contains the steps until then.
+        """
+        return self._arms.step(None if torque is None else vector("torque", torque, self.arm.n))
+
+    def apply_ctrl(self, ctrl: ArrayLike, seconds: float) -> Log:
+        """Holds the arm's motors at constant controls, without a controller.
+
+        Args:
+            ctrl: (n,) controls, in the units of the model's motors: torque = gear x ctrl.
+            seconds: How long, s.
+
+        Returns:
+            Every tick of it; its references are NaN.
+
+        Raises:
+            LimitError: A control outside its motor's range.
+        """
+        arm = self.arm
+        checked = vector("ctrl", ctrl, arm.n)
+        bound = arm.motor_torque_limits / np.abs(arm.gear)
+        outside = np.abs(checked) > bound * (1 + _CONTROL_TOLERANCE)
+        if outside.any():
+            i = int(outside.argmax())
+            raise LimitError(f"ctrl: {arm.joint_names[i]}: {checked[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
+        constant = ConstantTorque(checked * arm.gear)
+        seconds = number("seconds", seconds, 0.0)
+        nothing = np.full((ticks_for(seconds, self.dt), self.arm.n), np.nan)
+        with self._arms.recording({self.arm.tip: seconds}, controller=constant) as recorder:
+            self._stepper.run(constant, TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
+        return self._arms.logs[self.arm.tip]
+
+    def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
+        """As of all commands. With nothing around it, an arm whose links have no shape moves; the result names the links."""
+        is_alone = bool(self.arm.unchecked_links) and not has_obstacles(self.model, self.arm.joint_map.joints)
+        return super()._checker(flag("avoid", avoid) and not is_alone, allow)
+
+    @property
+    def _held(self) -> str:
+        return self._gripper.held if self._gripper is not None else ""

@@ -1,0 +1,163 @@
+"""WrenchSensor: the wrench of the environment on the tips, true or as a plant's sensors measure it."""
+
+from collections.abc import Sequence
+from math import nan
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from armctl import _core
+from armctl.control.interface import WRENCH_SIZE, State
+from armctl.core.validation import Array
+from armctl.model.arm.arm import Arm
+from armctl.model.mjmodel.queries import is_below
+from armctl.run.sim.mujoco_library import mujoco_api
+from armctl.run.sim.plant import Plant
+
+_MIN_JOINTS_FOR_MOMENTS = 6  # the torques of fewer joints do not separate moments from forces
+_CARTESIAN_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_FLEX))
+
+
+class _Site(NamedTuple):
+    """Where an arm's wrench acts, without the arm itself: a waiting simulation must not keep it."""
+
+    last_body: int  # behind the arm's last joint
+    tip_body: int
+    offset: Array  # (3,) m, the tip in that body
+    arm: _core.ArmModel
+
+
+class WrenchSensor:
+    """The wrenches on the tips of k arms, (6 k,) N and N m: force first, world axes, at the tip.
+
+    A true wrench is the sum of all contacts, connections and pushes on the bodies behind the arm's last joint; an ideal flange
+    sensor measures it, with weight and inertia of the tool compensated. MuJoCo computes it during a step: the wrench at a tick
+    is that of the previous step.
+    """
+
+    def __init__(
+        self, arms: Sequence[Arm], plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, dt: float, continuous: bool
+    ):
+        self._plant = plant
+        self._model = model
+        self._data = data
+        self._period = (dt, continuous)
+        self._sites = [
+            _Site(int(arm.model.dof_bodyid[arm.dof_adr[-1]]), arm.tip_body, arm.T_body_tip.position, arm.core_model)
+            for arm in arms
+        ]
+        self._ends = np.cumsum([arm.n for arm in arms]).tolist()
+        self._has_connections = bool(np.isin(model.eq_type, _CARTESIAN_EQUALITIES).any())
+        self._noise_scale = np.tile([plant.force_noise] * 3 + [plant.moment_noise] * 3, len(arms))
+        self._has_noise = bool(plant.force_noise or plant.moment_noise)
+        self._is_sampled = self._has_noise or bool(plant.wrench_delay) or plant.wrench_source == "torques"
+        self._tips: list[_core.WrenchSensor] = []
+        self.true = np.zeros(WRENCH_SIZE * len(arms))  # the true wrenches at the last call of `read` or `measure`
+        self.reset()
+
+    @property
+    def arms(self) -> int:
+        return len(self._sites)
+
+    def reset(self) -> None:
+        """Forgets all measurements and restarts the noise."""
+        if self._has_noise:
+            self._rng = np.random.default_rng([self._plant.seed, WRENCH_SIZE])
+        self._sampled_at = nan
+        for tip in self._tips:
+            tip.reset()
+
+    def has_measured(self, t: float) -> bool:
+        """Whether the measurement at time t, s, is made already."""
+        return self._sampled_at == t
+
+    def read(self, push: Array | None) -> Array:
+        """The true wrenches now; `push` (6,) is the wrench of the plant's pushes on the first tip, if there are any."""
+        data = self._data
+        self.true = np.zeros_like(self.true)
+        if data.ncon or self._has_connections or data.xfrc_applied.any():
+            for k, tip in enumerate(self._sensors()):
+                tip.read(None if k else push, self.true[WRENCH_SIZE * k : WRENCH_SIZE * (k + 1)])
+        elif push is not None:
+            self.true[:WRENCH_SIZE] += push
+        return self.true
+
+    def measure(self, push: Array | None, state: State, tau: Array) -> Array:
+        """What the sensors give at this tick, with noise and delay, for the motors' torque (n,) N m in the last tick."""
+        if not self._is_sampled:
+            return self.read(push)
+        noise = np.zeros_like(self.true)
+        if self._has_noise and not self.has_measured(state.t):
+            noise = self._noise(1)[0]
+        self._sampled_at = state.t
+        self.true = np.empty_like(self.true)
+        measured = np.empty_like(self.true)
+        first = 0
+        for k, (tip, last) in enumerate(zip(self._sensors(), self._ends, strict=True)):
+            own = slice(WRENCH_SIZE * k, WRENCH_SIZE * (k + 1))
+            joints = slice(first, last)
+            tip.measure(
+                np.ascontiguousarray(state.q[joints]),
+                np.ascontiguousarray(state.v[joints]),
+                np.ascontiguousarray(tau[joints]),
+                state.t,
+                noise[own],
+                None if k else push,
+                measured[own],
+                self.true[own],
+            )
+            first = last
+        return measured
+
+    def plan(self, times: Array) -> tuple[_core.WrenchSensor, Array | None]:
+        """The sensor of a single arm for coming ticks of the compiled loop, and its noise (ticks, 6) N and N m, or None.
+
+        Call `took` afterwards.
+        """
+        (sensor,) = self._sensors()
+        noise = None
+        if self._has_noise:
+            self._noise_before: Any = self._rng.bit_generator.state
+            noise = self._noise(len(times))
+        self._times = times
+        return sensor, noise
+
+    def took(self, measured: int) -> None:
+        """Notes at how many of the planned ticks the wrench was measured."""
+        if not measured or not self._is_sampled:
+            return
+        self._sampled_at = float(self._times[measured - 1])
+        if self._has_noise and measured < len(self._times):
+            self._rng.bit_generator.state = self._noise_before
+            self._noise(measured)
+
+    def _noise(self, ticks: int) -> Array:
+        """(ticks, 6 k) the noise of the coming ticks."""
+        return self._noise_scale * self._rng.standard_normal((ticks, len(self._noise_scale)))
+
+    def _sensors(self) -> list[_core.WrenchSensor]:
+        """The sensors of all arms, which are made when the first wrench is asked for: most simulations need none."""
+        if not self._tips:
+            self._tips = [self._sensor(site) for site in self._sites]
+        return self._tips
+
+    def _sensor(self, site: _Site) -> _core.WrenchSensor:
+        model = self._model
+        bodies = [body for body in range(site.last_body, model.nbody) if is_below(model, body, site.last_body)]
+        told_by_torques = WRENCH_SIZE if site.arm.n >= _MIN_JOINTS_FOR_MOMENTS else 3
+        return _core.WrenchSensor(
+            mujoco_api(),
+            model,
+            self._data,
+            arm=site.arm.for_period(*self._period),
+            bodies=np.array(bodies, np.int64),
+            root=int(model.body_rootid[site.last_body]),
+            tip=site.tip_body,
+            offset=np.array(site.offset),
+            is_connected=self._has_connections,
+            dt=self._period[0],
+            delay=self._plant.wrench_delay,
+            is_sampled=self._is_sampled,
+            estimated=told_by_torques if self._plant.wrench_source == "torques" else 0,
+        )

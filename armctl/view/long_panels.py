@@ -1,0 +1,117 @@
+"""Panels whose work takes long: one motion under every controller with the payload, and the points that an arm reaches."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from armctl.control import CONTROLLERS
+from armctl.core.latest_worker import LatestWorker
+from armctl.core.units import length_text
+from armctl.lab.comparison import compare, out_and_back
+from armctl.model.arm.arm import Arm
+from armctl.plan.ik.reachability import reachability
+from armctl.report.plot import overlay_image
+from armctl.report.report import Report
+from armctl.run.sim.plant import Plant
+from armctl.view.realtime.session import RealTimeSession
+
+if TYPE_CHECKING:
+    import viser
+
+
+_POINT_SIZE_SPACINGS = 0.08
+_EXPLANATION = "Computed once, with one thread. Contacts are not considered."
+_LEGEND = "From dark blue (few of the orientations) to yellow (most of them)."
+
+
+class ComparisonPanel:
+    def __init__(self, server: viser.ViserServer, session: RealTimeSession):
+        """Adds the button to a server's page; the session pauses while a comparison runs."""
+        self._gui = server.gui
+        self._session = session
+        self._worker = LatestWorker("armctl comparison")
+        with server.gui.add_folder("Comparison", expand_by_default=False) as self._folder:
+            self._button = server.gui.add_button("compare the controllers")
+            self._text = server.gui.add_markdown(
+                "All joints out and back at full speed, under every controller at its default gains, with this payload."
+            )
+        self._picture: viser.GuiImageHandle | None = None
+        self._button.on_click(self._clicked)
+
+    def close(self) -> None:
+        self._worker.close()
+
+    async def _clicked(self, event: object) -> None:
+        self._button.disabled = True
+        self._worker.submit(self._compare)
+
+    def _compare(self) -> None:
+        session = self._session
+        status = session.status
+        session.pause(True)
+        try:
+            self._text.content = "comparing ..."
+            plant = Plant(payload=status.payload)
+            reports = compare(session.arm, list(CONTROLLERS), out_and_back(session.arm), [plant], poses=0)
+            if self._worker.is_closed:
+                return
+            self._text.content = _table(reports)
+            if self._picture is not None:
+                self._picture.remove()
+            with self._folder:
+                self._picture = self._gui.add_image(overlay_image([report.log for report in reports]))
+        except Exception as error:
+            self._text.content = f"the comparison failed: {error}"[:300]
+            raise
+        finally:
+            session.pause(status.paused)
+            if not self._worker.is_closed:
+                self._button.disabled = False
+
+
+def _table(reports: list[Report]) -> str:
+    rows = ["| | tip RMS | at the end | peak torque |", "| - | - | - | - |"]
+    for r in reports:
+        cells = r.controller, length_text(r.tip_rms_m), length_text(r.final_tip_error_m), f"{100 * r.peak_torque_ratio:.0f} %"
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+class ReachabilityPanel:
+    """The map is computed in a thread of its own when it is first shown; the arm moves meanwhile."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, root: str):
+        self._scene = server.scene
+        self._arm = arm
+        self._root = root
+        self._worker = LatestWorker("armctl reachability")
+        self._points: viser.PointCloudHandle | None = None
+        with server.gui.add_folder("Reachability", expand_by_default=False):
+            self._switch = server.gui.add_checkbox("reachable points", False)
+            self._text = server.gui.add_markdown(_EXPLANATION)
+        self._switch.on_update(self._switched)
+
+    def close(self) -> None:
+        self._worker.close()
+
+    async def _switched(self, event: object) -> None:
+        self._worker.submit(self._show)
+
+    def _show(self) -> None:
+        """Shows or hides the points, after computing them at the first time."""
+        if self._points is None and self._switch.value:
+            self._text.content = "computing ..."
+            try:
+                found = reachability(self._arm, threads=1)
+            except Exception as error:
+                self._text.content = f"not computed: {error}"[:300]
+                raise
+            if self._worker.is_closed:
+                return
+            points, colours = found.cloud()
+            size = _POINT_SIZE_SPACINGS * found.spacing
+            name = f"{self._root}/reachable"
+            self._points = self._scene.add_point_cloud(name, points, colours, point_size=size, point_shape="circle")
+            self._text.content = f"{found}. {_LEGEND}" if len(found.orientations) else f"{found}."
+        if self._points is not None:
+            self._points.visible = self._switch.value

@@ -1,0 +1,50 @@
+"""Status: what a real-time session does at one instant."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from armctl.core.pose import Pose
+from armctl.core.validation import Array
+from armctl.view.realtime.target_follower import PlannedPath
+
+
+class Activity(Enum):
+    """What a session does. After DIVERGED and FAILED it stands until `reset`."""
+
+    FOLLOWING = "following"
+    PLANNING = "planning"
+    BLOCKED = "blocked"
+    AT_TARGET = "at target"
+    OUT_OF_REACH = "out of reach"
+    SAGGING = "sagging"
+    PAUSED = "paused"
+    DIVERGED = "diverged"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Status:
+    """A session at one instant. It is never changed: each update makes a new one, so any thread can read it."""
+
+    activity: Activity  # what the session does
+    failure: str  # why it stands, after DIVERGED and FAILED; else empty
+    position_error: float  # from the tip to the target, m
+    # from the nearest reachable point to the target, m; None while no solver has found it unreachable
+    reach_error: float | None
+    refusal: str  # why the arm does not approach its target, after BLOCKED; else empty
+    path: PlannedPath | None  # to the target; None if none was needed
+    contacts: Array  # (k, 2, 3) point, m, and force on the second body, N, of each contact, world axes
+    target: Pose  # T_world_tip to reach
+    oriented: bool  # whether the target's orientation is part of the goal
+    joint_control: bool  # whether joint angles were commanded, so that the target follows the tip
+    avoiding: bool  # whether contacts are avoided
+    speed_override: float  # share of the speed of motions that the arm moves with
+    q: Array  # (n,) rad, where the arm is
+    qpos: Array  # (nq,) positions of the whole model
+    controller: str
+    payload: float  # mass at the tip, kg
+    gripper_width: float | None  # between the gripper's pads, m; None without a gripper
+    paused: bool  # whether time stands still
+    elapsed: float  # simulated time since the session began, s; `reset` does not change it
+    speed: float  # simulated seconds per second that are commanded
+    real_time_factor: float  # share of that speed that is achieved

@@ -1,0 +1,70 @@
+"""The sentences that describe a session's status on the page and in the native window."""
+
+import html
+from collections.abc import Sequence
+
+import numpy as np
+
+from armctl.core.target import TOLERANCE
+from armctl.core.units import length_text
+from armctl.view.realtime.history import Samples
+from armctl.view.realtime.status import Activity, Status
+
+_MIN_SHOWN_MM = 1e-3
+
+
+def describe(status: Status) -> str:
+    error_mm = 1e3 * status.position_error
+    match status.activity:
+        case Activity.FAILED | Activity.DIVERGED:
+            return f"{status.failure}; press reset"
+        case Activity.PAUSED:
+            return "paused"
+        case Activity.PLANNING:
+            return "planning a path around what is in the way"
+        case Activity.BLOCKED:
+            return status.refusal
+        case Activity.OUT_OF_REACH:
+            return _out_of_reach(status)
+        case Activity.AT_TARGET:
+            return f"at the target, error {max(error_mm, _MIN_SHOWN_MM):.2g} mm"
+        case Activity.SAGGING:
+            payload = f" and {status.payload:g} kg" if status.payload else ""
+            return f"steady-state error {error_mm:.1f} mm with {status.controller}{payload}"
+        case Activity.FOLLOWING:
+            reach = f"; {_out_of_reach(status)}" if status.reach_error is not None else ""
+            how = "following" if status.path is None else "on the planned path"
+            to_go = f", {error_mm:.0f} mm to go" if error_mm >= 1.0 else ""
+            return f"{how}{to_go}{reach}"
+
+
+def readings(samples: Samples, joint_names: Sequence[str], real_time_factor: float) -> str:
+    """Three numbers side by side, as HTML: the tip's distance from its reference, the motor nearest to its limit, the clock."""
+    shares = np.abs(samples.torque_share[-1])
+    busiest = int(np.argmax(shares))
+    error_mm = max(1e3 * samples.to_reference[-1], _MIN_SHOWN_MM)
+    cells = (
+        (f"{error_mm:.2g} mm", "from reference"),
+        (f"{100 * shares[busiest]:.0f} %", f"torque of {html.escape(joint_names[busiest])}"),
+        (f"{real_time_factor:.2f}", "times real time"),
+    )
+    columns = "".join(f'<div style="flex: 1"><b style="font-size: 1.3em">{value}</b><br>{what}</div>' for value, what in cells)
+    return f'<div style="display: flex; gap: 0.8em; margin: 0 0.8em 0.6em; font-size: 0.85em; line-height: 1.4">{columns}</div>'
+
+
+def describe_contacts(status: Status) -> str:
+    """The contacts and the largest force; empty without contacts."""
+    if not len(status.contacts):
+        return ""
+    forces = np.linalg.norm(status.contacts[:, 1], axis=1)
+    return f"{len(forces)} contact{'s' if len(forces) > 1 else ''}, largest force {forces.max():.3g} N"
+
+
+def is_only_orientation_out_of_reach(status: Status) -> bool:
+    return status.reach_error is not None and status.reach_error < TOLERANCE
+
+
+def _out_of_reach(status: Status) -> str:
+    if status.reach_error is None or is_only_orientation_out_of_reach(status):
+        return "this orientation is out of reach here"
+    return f"out of reach by {length_text(status.reach_error)}"

@@ -1,0 +1,53 @@
+"""A page with two arms: one is commanded, the brakes hold the other, and a list chooses which."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import PAIR, mjcf, motors
+
+pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
+
+from viewer_client import connected, open_page, until
+
+from armctl import ModelError
+from armctl.cli.main import command_parser
+from armctl.cli.view import loaded_arms
+from armctl.view.realtime.status import Activity
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pair") / "pair.xml"
+    path.write_text(mjcf(PAIR, motors("a b c d e f")))
+    return path
+
+
+def loaded(*words: str):
+    return loaded_arms(command_parser().parse_args(["view", *words]))
+
+
+def test_view_loads_all_arms_of_a_robot_unless_a_tip_is_given(path: Path):
+    assert [arm.tip for arm in loaded(str(path))] == ["C", "F"]
+    assert [arm.tip for arm in loaded(str(path), "--tip", "F")] == ["F"]
+    with pytest.raises(ModelError, match="no such file"):
+        loaded(str(path.parent / "nothing.xml"))
+
+
+def test_either_arm_follows_its_target_while_the_other_stands(path: Path):
+    with open_page(loaded(str(path))) as page, connected(page) as client:
+        first, second = (controls.session for controls in page._controls.arms.values())
+        for session, other, label in ((first, second, "C"), (second, first, "F"), (first, second, "C")):
+            client.set(page, "arm", label)
+            until(lambda session=session, other=other: page.session is session and other.is_standing_by, "not chosen")
+            before = other.status.qpos
+            target = session.arm.fk(session.status.q + 0.2)
+            session.aim(target)
+            until(
+                lambda session=session, target=target: (
+                    session.status.target is target and session.status.activity is Activity.AT_TARGET
+                ),
+                "the arm does not follow",
+            )
+            assert np.abs(session.status.qpos[other.arm.qpos_adr] - before[other.arm.qpos_adr]).max() < 1e-3
+            assert np.abs(session.status.q - before[session.arm.qpos_adr]).max() > 0.1
