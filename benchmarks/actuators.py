@@ -36,7 +36,7 @@ HELD_S = 4.0
 MAX_TICKS = 60
 TUNED = ("pd-gravity", "computed-torque-observer")
 TUNED_MARGIN_S = 0.003
-TUNED_POSES = 5
+TUNED_CONFIGURATIONS = 5
 LEARNT = ("pd", "pd-gravity", "computed-torque", "computed-torque-observer")
 REPETITIONS = 10
 
@@ -108,7 +108,7 @@ def laws(arm: armctl.Arm, plant: armctl.Plant) -> Iterator[tuple[str, Controller
     if plant.jitter or plant.sensor_delay or plant.encoder_bits or plant.friction == "lugre" or np.any(plant.backlash):
         return  # gains are tuned for linear plants
     for law in TUNED:
-        tuned = armctl.tune(arm, law, TUNED_MARGIN_S, poses=TUNED_POSES, plants=[plant])
+        tuned = armctl.tune(arm, law, TUNED_MARGIN_S, configurations=TUNED_CONFIGURATIONS, plants=[plant])
         yield f"{law}, tuned" + ("" if tuned else " (bounds not met)"), tuned.controller
 
 

@@ -90,7 +90,7 @@ def tracking(arms: dict[str, armctl.Arm]) -> str:
     rows = []
     for plant in PLANTS:
         reports = {
-            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plants(arm)[plant]], poses=0)
+            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plants(arm)[plant]], configurations=0)
             for robot, arm in arms.items()
         }
         for i, name in enumerate(CONTROLLERS):
@@ -122,7 +122,7 @@ def observed(arms: dict[str, armctl.Arm]) -> str:
     for robot, arm in arms.items():
         for plant in PLANTS:
             name = "computed-torque" if plant in EXACT else "computed-torque-observer"
-            report = armctl.compare(arm, [name], quintic(arm), [plants(arm)[plant]], poses=0)[0]
+            report = armctl.compare(arm, [name], quintic(arm), [plants(arm)[plant]], configurations=0)[0]
             target = TARGETS.get((plant, robot), TARGETS.get((plant, ""), ""))
             if plant in EXACT:
                 target = "max 1e-9" if plant == "nominal" else "max 5e-7"

@@ -1,6 +1,6 @@
 """Delay margin and peak sensitivity of default gains at many configurations that neither their design nor `margins` uses.
 
-    python benchmarks/default_margins.py [--robots panda,fr3] [--poses 150]
+    python benchmarks/default_margins.py [--robots panda,fr3] [--configurations 150]
 
 A cell has the least delay margin, ms, and the largest Ms. "declared": `armctl info` names the controller as an exception.
 """
@@ -27,7 +27,7 @@ SEED = 777
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--robots", default=ROBOTS)
-    parser.add_argument("--poses", type=int, default=150)
+    parser.add_argument("--configurations", type=int, default=150)
     parser.add_argument("--timestep", type=float, default=0.001)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "default_margins.md")
     args = parser.parse_args()
@@ -35,13 +35,13 @@ def main() -> None:
     rows = []
     for robot in args.robots.split(","):
         arm = armctl.load(robot)
-        q = arm.limits.random(arm.limits.clamp(arm.home), args.poses, np.random.default_rng(SEED))
+        q = arm.limits.random(arm.limits.clamp(arm.home), args.configurations, np.random.default_rng(SEED))
         plant = armctl.Plant(timestep=args.timestep)
         command = [sys.executable, "-m", "armctl", "info", robot]
         info = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         exceptions = [line for line in info.splitlines() if line.startswith("default gains") and "made for" not in line]
         rows.append([robot, *(cell(arm, plant, law, q, exceptions) for law in LAWS)])
-    title = f"Delay margin, ms / Ms, worst of {args.poses} configurations, control period {1e3 * args.timestep:g} ms"
+    title = f"Delay margin, ms / Ms, worst of {args.configurations} configurations, control period {1e3 * args.timestep:g} ms"
     text = titled_table(title, ["robot", *LAWS], rows) + "\n"
     args.out.write_text(text, encoding="utf-8")
     print(text)

@@ -56,14 +56,14 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS)
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     cases = [(robot, task, ACTIONS[0]) for robot in arguments.robots for task in arguments.tasks]
     if ROBOT_OF_ALL_ACTIONS in arguments.robots:
         cases += [(ROBOT_OF_ALL_ACTIONS, task, action) for task in arguments.tasks for action in ACTIONS[1:]]
     headers = ["robot", "task", "action", "solved", "median time to the goal, error at the end", "CPU"]
     rows = []
-    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         for row in pool.map(partial(solved, episodes=arguments.episodes), *zip(*cases, strict=True)):
             rows.append(row)
             print(*row, sep=" | ", flush=True)

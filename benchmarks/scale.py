@@ -117,7 +117,9 @@ def many(arms: dict[str, armctl.Arm], count: int) -> str:
             for threads in (1, 2)
         ]
         calls += [
-            lambda arm=arm, m=motion, p=plants, w=workers: armctl.compare(arm, ["computed-torque"], m, p, workers=w, poses=0)
+            lambda arm=arm, m=motion, p=plants, w=workers: armctl.compare(
+                arm, ["computed-torque"], m, p, threads=w, configurations=0
+            )
             for workers in (1, 2)
         ]
         milliseconds = [1e3 * seconds / count for seconds in best(calls)]

@@ -17,7 +17,7 @@ arm = armctl.load(path)
 
 dt, post = 0.01, np.array([0.42, 0.0])
 q = armctl.solve_ik(arm, [0.42, -0.3, 0.25]).q
-ik = armctl.DifferentialIk(arm, avoid_collisions=True)
+ik = armctl.DifferentialIk(arm, avoid=True)
 nearest, farthest = np.inf, 0.0
 for t in np.arange(0.0, 6.0, dt):
     target = [0.42, -0.3 + 0.6 * min(t / 4.0, 1.0), 0.25]

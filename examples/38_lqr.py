@@ -17,7 +17,7 @@ laws = {
 }
 for name, law in laws.items():
     report = armctl.Report.from_log(armctl.simulate(arm, law, motion, plant))
-    worst = armctl.margins(arm, law, poses=5)
+    worst = armctl.margins(arm, law, configurations=5)
     print(f"{name}: RMS {report.joint_rms_rad:.1e} rad, delay margin {1e3 * worst.delay.value:.1f} ms", end=", ")
     print(f"Ms {worst.peak_sensitivity.value:.2f}")
 

@@ -6,7 +6,7 @@ arm = armctl.load("robot_arm_3dof")
 plant = armctl.Plant(timestep=0.001)
 
 for name in ("pd-gravity", "computed-torque", "computed-torque-observer"):
-    worst = armctl.margins(arm, name, poses=10, plants=[plant])
+    worst = armctl.margins(arm, name, configurations=10, plants=[plant])
     print(worst)
 
 loop = armctl.linearize(arm, "computed-torque-observer", worst.delay.q, plant, delay=0.002)

@@ -3,7 +3,7 @@
 import armctl
 
 arm = armctl.load("robot_arm_3dof")
-tuned = armctl.tune(arm, "pd-gravity", delay_margin=8e-3, poses=5)
+tuned = armctl.tune(arm, "pd-gravity", delay_margin=8e-3, configurations=5)
 print(tuned)
 
 motion = armctl.move_j(arm, arm.home, arm.home + 0.4)

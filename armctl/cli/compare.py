@@ -39,7 +39,11 @@ def add(commands: common.Commands) -> None:
     )
     parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     parser.add_argument(
-        "--poses", type=int, default=5, help="configurations at which margins are computed, 0 for none (default %(default)s)"
+        "--configurations",
+        type=int,
+        metavar="N",
+        default=5,
+        help="number of configurations at which margins are computed, 0 for none (default %(default)s)",
     )
     parser.add_argument(
         "--dwell",
@@ -54,7 +58,11 @@ def add(commands: common.Commands) -> None:
     )
     common.add_timestep(parser)
     parser.add_argument(
-        "--workers", type=int, default=os.cpu_count() or 1, help="number of threads (default one per processor core)"
+        "--threads",
+        type=int,
+        metavar="N",
+        default=os.cpu_count() or 1,
+        help="number of threads (default one per processor core)",
     )
     common.add_speed(parser)
     common.add_json(parser)
@@ -80,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
     laws, notes = _tuned(args, arm, controllers, plants) if args.delay_margin else (controllers, [])
     motion = out_and_back(arm, speed=speed)
-    reports = compare(arm, laws, motion, plants, workers=args.workers, poses=args.poses, dwell=dwell)
+    reports = compare(arm, laws, motion, plants, threads=args.threads, configurations=args.configurations, dwell=dwell)
     notes += remarks(reports)
     if notes:
         notes.append("")
@@ -107,7 +115,9 @@ def _tuned(
     notes: list[str] = []
     with progress_bar("tune", len(names), "controllers") as bar:
         for name in names:
-            found = tune(arm, name, delay_margin, poses=args.poses or 1, plants=plants) if name in LAWS else None
+            found = (
+                tune(arm, name, delay_margin, configurations=args.configurations or 1, plants=plants) if name in LAWS else None
+            )
             controllers.append(name if found is None else found.controller)
             if not found:
                 notes.append(f"{name} has its default gains: {'it has no gains to tune' if found is None else found.reason}")

@@ -20,7 +20,7 @@ def add(commands: common.Commands) -> None:
     for parser in (margins, tune):
         common.add_arm(parser)
         parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{common.PLANTS_HELP} (default nominal)")
-        parser.add_argument("--poses", type=int, default=20, help="number of configurations (default 20)")
+        parser.add_argument("--configurations", type=int, metavar="N", default=20, help="number of configurations (default 20)")
         common.add_timestep(parser)
         common.add_json(parser)
     margins.add_argument("--controllers", default="all", metavar="A,B,...", help=f"of {common.CONTROLLERS_HELP} (default all)")
@@ -61,7 +61,7 @@ def compute_margins(args: argparse.Namespace) -> int:
     found = []
     with progress_bar("margins", len(controllers), "controllers") as bar:
         for name in controllers:
-            found.append(margins(arm, name, args.poses, plants))
+            found.append(margins(arm, name, args.configurations, plants))
             bar.update()
     reason = next((each.reason for each in found if not each), "")
     common.print_result(args, margins_table(found).text(), [each.to_dict() for each in found], reason)
@@ -80,7 +80,7 @@ def tune_law(args: argparse.Namespace) -> int:
         common.one_number("delay_margin", args.delay_margin),
         common.one_number("peak_sensitivity", args.peak_sensitivity),
         common.one_number("chatter", args.chatter) if args.chatter else None,
-        args.poses,
+        args.configurations,
         plants,
     )
     common.print_result(args, str(found), found.to_dict(), found.reason)

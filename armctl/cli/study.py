@@ -28,7 +28,7 @@ def add(commands: common.Commands) -> None:
         "--folder", type=Path, default=Path(), metavar="DIR", help="folder of NAME.sqlite (default the current one)"
     )
     place = parser.add_mutually_exclusive_group()
-    place.add_argument("--workers", type=int, metavar="N", help="number of threads (default one per processor core)")
+    place.add_argument("--threads", type=int, metavar="N", help="number of threads (default one per processor core)")
     place.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
     parser.add_argument("--metric", default="tip_rms_m", help="the metric of the table and the plots (default %(default)s)")
     parser.add_argument("--save", type=Path, metavar="DIR", help="write the table (Parquet) and plots into this folder")
@@ -38,11 +38,11 @@ def add(commands: common.Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     from armctl.lab.study.study import Study
 
-    if args.workers is not None and args.workers < 1:
-        raise InputError(f"--workers: expected at least 1, got {args.workers}")
+    if args.threads is not None and args.threads < 1:
+        raise InputError(f"--threads: expected at least 1, got {args.threads}")
     study = Study.from_file(args.file)
     try:
-        with _executor(args.dask, args.workers) as executor:
+        with _executor(args.dask, args.threads) as executor:
             result = study.run(executor, folder=args.folder)
     except KeyboardInterrupt:
         finished = len(study.result(args.folder))
@@ -72,10 +72,10 @@ def _save(result: StudyResult, folder: Path, metric: str) -> None:
 
 
 @contextmanager
-def _executor(address: str | None, workers: int | None) -> Iterator[Executor | None]:
+def _executor(address: str | None, threads: int | None) -> Iterator[Executor | None]:
     """The executor of a Dask cluster, some threads of this process, or None for one on each processor."""
-    if workers is not None:
-        with ThreadPoolExecutor(workers) as executor:
+    if threads is not None:
+        with ThreadPoolExecutor(threads) as executor:
             yield executor
         return
     if address is None:

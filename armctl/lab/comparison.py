@@ -24,7 +24,7 @@ from armctl.report.report import Report, best_cells, contacts_in_words, report_t
 from armctl.run.sim.plant import WITH_ENCODER, Plant
 from armctl.run.sim.simulate import rows_as_runs, run_many
 
-DEFAULT_POSES = 5
+DEFAULT_CONFIGURATIONS = 5
 DEFAULT_DWELL_S = 10.0  # a law whose errors decay as exp(-t) rests then
 
 
@@ -34,8 +34,8 @@ def compare(
     trajectory: Trajectory,
     plants: Sequence[Plant] = (WITH_ENCODER,),
     *,
-    workers: int = 1,
-    poses: int = DEFAULT_POSES,
+    threads: int = 1,
+    configurations: int = DEFAULT_CONFIGURATIONS,
     dwell: float = DEFAULT_DWELL_S,
 ) -> Comparison:
     """Follows one trajectory under every controller on every plant. A progress bar appears on a terminal after two seconds.
@@ -44,9 +44,9 @@ def compare(
         controllers: Controllers or names of controllers.
         plants: The simulated plants; by default the model with encoders whose noise is 1e-5 rad, from which velocities are
             differenced.
-        workers: Number of threads, as for `simulate_many`.
-        poses: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins` with its search
-            for the worst ones; 0 for neither.
+        threads: How many threads to use; the numbers are the same with any.
+        configurations: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins` with
+            its search for the worst ones; 0 for neither.
         dwell: s, how long each controller holds the end of the motion at most: until the arm rests. The final errors are those
             after it, and the settling time counts from its beginning. The verdict on an arm that still moves then, away from
             its goal, is "not reached, not yet at rest".
@@ -70,15 +70,15 @@ def compare(
         for plant, plant_label in zip(plants, _distinct(map(str, plants)), strict=True)
         for controller, controller_label in zip(controllers, _distinct(names), strict=True)
     ]
-    poses = integer("poses", poses, 0)
+    configurations = integer("configurations", configurations, 0)
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
     reports = Comparison()
     dwell = number("dwell", dwell, 0.0)
-    threads = integer("workers", workers, 1)
+    threads = integer("threads", threads, 1)
     found = run_many(arm, runs, lambda _, log: Report.from_log(log), dwell=dwell, until_rest=True, threads=threads)
     for pair, report in zip(pairs, found, strict=True):
         labelled = replace(report, controller=pair.controller_label, plant=pair.plant_label)
-        reports.append(_with_margins(arm, pair, labelled, poses) if poses else labelled)
+        reports.append(_with_margins(arm, pair, labelled, configurations) if configurations else labelled)
     return reports
 
 
@@ -126,10 +126,10 @@ class _Pair(NamedTuple):
     plant_label: str
 
 
-def _with_margins(arm: Arm, pair: _Pair, report: Report, poses: int) -> Report:
+def _with_margins(arm: Arm, pair: _Pair, report: Report, configurations: int) -> Report:
     """The report with margins, if a linear model describes the controller."""
     try:
-        found = margins(arm, pair.controller, poses, [pair.plant])
+        found = margins(arm, pair.controller, configurations, [pair.plant])
     except ModelError:
         return report
     return replace(

@@ -359,7 +359,7 @@ def _poses(arm: Arm) -> tuple[float, Array, Array]:
                 position_tolerance=_IK_TOLERANCE,
                 orientation_tolerance=_IK_TOLERANCE,
                 nearest=True,
-                avoid_collisions=True,
+                avoid=True,
             )
             if not found.ok:
                 break

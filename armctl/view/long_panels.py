@@ -52,7 +52,7 @@ class ComparisonPanel:
         try:
             self._text.content = "comparing ..."
             plant = Plant(payload=status.payload)
-            reports = compare(session.arm, list(CONTROLLERS), out_and_back(session.arm), [plant], poses=0)
+            reports = compare(session.arm, list(CONTROLLERS), out_and_back(session.arm), [plant], configurations=0)
             if self._worker.is_closed:
                 return
             self._text.content = _table(reports)

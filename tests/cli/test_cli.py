@@ -96,7 +96,10 @@ def test_messages_name_options_and_not_arguments_of_python():
 def test_json_has_the_same_keys_after_success_failure_and_wrong_calls(capsys):
     calls = {
         0: [["reach", BUNDLED], ["chains", BUNDLED], ["info", BUNDLED], ["doctor", BUNDLED]],
-        1: [["reach", BUNDLED, "--target", "2", "0", "0.35"], ["tune", BUNDLED, "pd", "--poses", "1", "--delay-margin", "1"]],
+        1: [
+            ["reach", BUNDLED, "--target", "2", "0", "0.35"],
+            ["tune", BUNDLED, "pd", "--configurations", "1", "--delay-margin", "1"],
+        ],
         2: [["reach", "pandaa"], ["study", "nothing.toml"], ["simulate", BUNDLED], ["info", BUNDLED, "--tp", "x"], ["mrgins"]],
     }
     for expected, lines in calls.items():
@@ -254,7 +257,7 @@ def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
 
 @pytest.mark.full
 def test_margins_are_a_table_and_a_page(capsys, tmp_path):
-    chosen = ("--controllers", "pd,pd-gravity", "--poses", "3", "--timestep", "0.002")
+    chosen = ("--controllers", "pd,pd-gravity", "--configurations", "3", "--timestep", "0.002")
     status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--report", str(tmp_path))
     assert status == 0, err
     assert [line.split()[0] for line in out.splitlines()[-2:]] == ["pd", "pd-gravity"]
@@ -368,7 +371,7 @@ def _paths() -> dict[str, str]:
 @pytest.mark.full
 def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
     chosen = ("--controllers", "pd,computed-torque", "--plants", "nominal,payload=1")
-    status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--report", str(tmp_path), "--workers", "1", "--json")
+    status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--report", str(tmp_path), "--threads", "1", "--json")
     assert status == 0
     assert [(r["controller"], r["plant"]) for r in json.loads(out)["result"]][-1] == ("computed-torque", "payload 1 kg")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.html", "comparison.json", "comparison.md"]
@@ -376,7 +379,7 @@ def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
 
 @pytest.mark.full
 def test_compare_tunes_controllers_to_one_delay_margin(capsys):
-    chosen = ("--controllers", "computed-torque,computed-torque-textbook", "--poses", "2", "--workers", "1")
+    chosen = ("--controllers", "computed-torque,computed-torque-textbook", "--configurations", "2", "--threads", "1")
     _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--json")
     default = json.loads(out)["result"][0]
     _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--delay-margin", "0.005", "--json")
@@ -389,7 +392,7 @@ def test_compare_tunes_controllers_to_one_delay_margin(capsys):
 @pytest.mark.full
 def test_compare_saves_every_run_in_files_of_its_own(capsys, tmp_path):
     plants = "friction=0.01,friction=0.05"
-    status, _, err = run(capsys, "compare", BUNDLED, "--plants", plants, "--save", str(tmp_path), "--workers", "1")
+    status, _, err = run(capsys, "compare", BUNDLED, "--plants", plants, "--save", str(tmp_path), "--threads", "1")
     assert status == 0
     assert len(list(tmp_path.iterdir())) == err.count("wrote") == 16
 

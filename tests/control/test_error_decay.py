@@ -83,7 +83,7 @@ def test_the_laws_derived_from_it_lose_no_error_more_slowly_on_damped_joints(tmp
 def test_margins_and_a_comparison_have_the_slowest_pole(load):
     arm = load(limb("a b", joint='damping="3" armature="0.05"'), motors("a b"))
     motion = armctl.move_j(arm, arm.home, arm.home + 0.3)
-    reports = armctl.compare(arm, ["computed-torque", armctl.ComputedTorque(arm, bandwidth=8.0)], motion, poses=2)
+    reports = armctl.compare(arm, ["computed-torque", armctl.ComputedTorque(arm, bandwidth=8.0)], motion, configurations=2)
     assert [report.slowest_pole_per_s for report in reports] == pytest.approx([30.0, 8.0], rel=0.22)
     assert "slowest pole, 1/s" in armctl.table(reports)
     found = armctl.margins(arm, "computed-torque", 2)
@@ -107,8 +107,10 @@ def test_a_comparison_waits_for_slow_laws_and_says_when_they_settled(load):
     arm = load(limb("a b", joint='damping="6" armature="0.05"'), motors("a b"))
     motion = armctl.move_j(arm, arm.home, arm.home + 0.5)
     law = armctl.PDGravity(arm, stiffness=20.0, damping=2.0)  # decays with 20 / (6 + 2) 1/s
-    short, long = (armctl.compare(arm, [law], motion, [armctl.Plant()], poses=0, dwell=dwell)[0] for dwell in (0.25, 4.0))
-    default = armctl.compare(arm, [law], motion, [armctl.Plant()], poses=0)[0]
+    short, long = (
+        armctl.compare(arm, [law], motion, [armctl.Plant()], configurations=0, dwell=dwell)[0] for dwell in (0.25, 4.0)
+    )
+    default = armctl.compare(arm, [law], motion, [armctl.Plant()], configurations=0)[0]
     assert not short.ok
     assert long.ok
     assert long.final_tip_error_m < 0.01 * short.final_tip_error_m
@@ -128,7 +130,7 @@ def test_a_comparison_waits_no_longer_than_until_the_arm_rests_or_the_dwell_ends
         ["computed-torque", armctl.PDGravity(arm, stiffness=4.0, damping=2.0), sagging],
         motion,
         [armctl.Plant()],
-        poses=0,
+        configurations=0,
         dwell=6.0,
     )
     assert fast.duration_s < motion.duration + 1.5

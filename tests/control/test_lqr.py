@@ -115,7 +115,7 @@ def test_the_default_margins_hold_and_a_longer_one_is_asked_for(six):
 
 @pytest.mark.full
 def test_tuning_yields_less_to_disturbances(six):
-    tuned = armctl.tune(six, "lqr", poses=2, plants=[armctl.Plant(timestep=0.002)])
+    tuned = armctl.tune(six, "lqr", configurations=2, plants=[armctl.Plant(timestep=0.002)])
     assert tuned, tuned.reason
     assert isinstance(tuned.controller, armctl.LQR)
     assert tuned.after.compliance < 0.8 * tuned.before.compliance

@@ -58,7 +58,7 @@ SLOW = {
 }
 PACKAGES = {"": armctl, "envs.": armctl.gym, "jax.": armctl.jax, "links.": armctl.links}
 # Given in every call: their defaults take long or open a page.
-ALWAYS_GIVEN = {"workers", "width", "height", "viewer"}
+ALWAYS_GIVEN = {"threads", "width", "height", "viewer"}
 
 
 @dataclass(frozen=True)
@@ -93,12 +93,12 @@ def costly_results() -> dict[str, object]:
     return {
         "ArmEstimate": armctl.identify(arm, log),
         "Excitation": excited,
-        "Margins": armctl.margins(arm, "pd", poses=1),
+        "Margins": armctl.margins(arm, "pd", configurations=1),
         "PayloadEstimate": armctl.identify_payload(arm, log),
         "Reachability": armctl.reachability(arm, spacing=0.3, orientations=4),
         "Study": study,
         "StudyResult": result,
-        "Tuning": armctl.tune(arm, "pd", poses=1),
+        "Tuning": armctl.tune(arm, "pd", configurations=1),
     }
 
 
@@ -233,7 +233,6 @@ def valid_values(objects: dict[str, object]) -> dict[str, list[object]]:
         "ctrl": [[0.0, 0.0, 0.0]],
         "position": [[0.5, 0.5, 0.1]],
         "size": [[0.1, 0.1, 0.1]],
-        "workers": [1],
         "progress": [None],
         "viewer": [False],
         "width": [32],

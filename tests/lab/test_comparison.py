@@ -72,7 +72,7 @@ def test_plants_and_controllers_of_one_name_stay_apart(bundled_motion, tmp_path)
 def test_two_threads_find_what_one_finds(bundled_motion):
     arm, motion = bundled_motion
     plants = [armctl.Plant(encoder_noise=1e-4)]
-    one, two = (armctl.compare(arm, ["pd", "computed-torque-observer"], motion, plants, workers=workers) for workers in (1, 2))
+    one, two = (armctl.compare(arm, ["pd", "computed-torque-observer"], motion, plants, threads=threads) for threads in (1, 2))
     assert all(np.array_equal(a.log.q, b.log.q) for a, b in zip(one, two, strict=True))
 
 
@@ -194,7 +194,7 @@ def test_the_best_values_of_each_plant_are_marked_and_not_those_of_failed_runs(b
 def test_margins_are_those_of_each_pair(bundled):
     plant = armctl.Plant(timestep=0.004)
     motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.1)
-    with_margins, without = (armctl.compare(bundled, ["pd"], motion, [plant], poses=poses)[0] for poses in (2, 0))
+    with_margins, without = (armctl.compare(bundled, ["pd"], motion, [plant], configurations=count)[0] for count in (2, 0))
     found = armctl.margins(bundled, "pd", 2, [plant])
     assert with_margins.delay_margin_s == found.delay.value
     assert with_margins.peak_sensitivity == found.peak_sensitivity.value
@@ -205,7 +205,7 @@ def test_margins_are_those_of_each_pair(bundled):
 
 def test_a_printed_comparison_is_the_table_of_the_command_line(bundled_motion):
     bundled, motion = bundled_motion
-    reports = armctl.compare(bundled, ["pd", "computed-torque"], motion, poses=0)
+    reports = armctl.compare(bundled, ["pd", "computed-torque"], motion, configurations=0)
     lines = str(reports).splitlines()
     assert lines[0].startswith("controller")
     assert [sum(line.startswith(name) for line in lines) for name in ("pd ", "computed-torque ")] == [2, 2]

@@ -287,7 +287,7 @@ def test_an_unstable_loop_has_no_margins(arm):
     assert "unstable" in found.reason
     assert found.delay_margin == 0.0
     assert found.peak_sensitivity == math.inf
-    everywhere = armctl.margins(arm, armctl.PD(arm, damping=1e4, stiffness=0.0), poses=2)
+    everywhere = armctl.margins(arm, armctl.PD(arm, damping=1e4, stiffness=0.0), configurations=2)
     assert not everywhere
     assert "unstable" in everywhere.reason
 

@@ -20,7 +20,7 @@ def arm(tmp_path_factory):
 
 @pytest.mark.parametrize("law", some_of(["pd", "computed-torque-observer", "qp"], ["computed-torque-observer"]))
 def test_tuned_gains_satisfy_the_bounds(arm, law):
-    found = armctl.tune(arm, law, delay_margin=8e-3, peak_sensitivity=1.65, poses=3, plants=[PLANT])
+    found = armctl.tune(arm, law, delay_margin=8e-3, peak_sensitivity=1.65, configurations=3, plants=[PLANT])
     assert found, found.reason
     margins = armctl.margins(arm, found.controller, 3, [PLANT])
     assert margins.delay.value == found.after.delay_margin >= 8e-3
@@ -36,8 +36,8 @@ def test_tuned_gains_satisfy_the_bounds(arm, law):
 
 @pytest.mark.full
 def test_a_bound_on_torque_noise_is_active(arm):
-    free = armctl.tune(arm, "computed-torque", poses=2, plants=[PLANT])
-    bounded = armctl.tune(arm, "computed-torque", chatter=0.5 * free.after.chatter, poses=2, plants=[PLANT])
+    free = armctl.tune(arm, "computed-torque", configurations=2, plants=[PLANT])
+    bounded = armctl.tune(arm, "computed-torque", chatter=0.5 * free.after.chatter, configurations=2, plants=[PLANT])
     assert bounded.active == ("chatter",)
     assert bounded.after.chatter <= 0.5 * free.after.chatter
     assert bounded.after.compliance > free.after.compliance
@@ -47,7 +47,7 @@ def test_a_bound_on_torque_noise_is_active(arm):
 def test_default_gains_that_violate_a_bound_are_raised_if_higher_ones_satisfy_it():
     arm = arm_of("panda")
     assert armctl.margins(arm, "impedance", 4, [PLANT]).peak_sensitivity.value > 3.0
-    found = armctl.tune(arm, "impedance", peak_sensitivity=3.0, poses=4, plants=[PLANT])
+    found = armctl.tune(arm, "impedance", peak_sensitivity=3.0, configurations=4, plants=[PLANT])
     assert found, found.reason
     assert found.gains["bandwidth"] > 40.0
     assert found.after.peak_sensitivity <= 3.0
@@ -56,13 +56,13 @@ def test_default_gains_that_violate_a_bound_are_raised_if_higher_ones_satisfy_it
 @pytest.mark.full
 def test_default_pd_of_a_damped_arm_is_nearly_as_stiff_as_the_tuned_one(tmp_path):
     arm = serial_arm(tmp_path, replace(BENT["planar"], joint='damping="60"'))
-    found = armctl.tune(arm, "pd-gravity", poses=3, plants=[PLANT])
+    found = armctl.tune(arm, "pd-gravity", configurations=3, plants=[PLANT])
     assert found, found.reason
     assert 0.3 * found.before.compliance < found.after.compliance < found.before.compliance
 
 
 def test_bounds_that_no_gains_satisfy_are_a_result(arm):
-    found = armctl.tune(arm, "pd", delay_margin=5.0, poses=2, plants=[PLANT])
+    found = armctl.tune(arm, "pd", delay_margin=5.0, configurations=2, plants=[PLANT])
     assert not found
     assert "no gains of pd satisfy" in str(found)
 
@@ -103,7 +103,7 @@ def margins_of_elevator(kp, kd, mass, damping, dt, lag, count=4000):
 )
 def test_the_stiffness_of_an_elevator_is_the_highest_that_a_grid_of_gains_finds(mass, damping, dt, lag, delay_margin):
     arm = elevator(mass, damping, dt)
-    found = armctl.tune(arm, "pd-gravity", delay_margin=delay_margin, poses=2, plants=[armctl.Plant(sensor_delay=lag)])
+    found = armctl.tune(arm, "pd-gravity", delay_margin=delay_margin, configurations=2, plants=[armctl.Plant(sensor_delay=lag)])
     assert found, found.reason
     kp = float(found.gains["stiffness"][0])
     kd = float(found.gains["damping"][0])
@@ -126,7 +126,7 @@ def test_looser_bounds_never_give_worse_gains(tmp_path, damping):
     frequencies = 2 * np.pi * np.array([0.01, 0.1, 1.0])
     displacements = []
     for delay_margin in (0.003, 0.012, 0.04):
-        found = armctl.tune(arm, "pd-gravity", delay_margin=delay_margin, poses=2, plants=[PLANT])
+        found = armctl.tune(arm, "pd-gravity", delay_margin=delay_margin, configurations=2, plants=[PLANT])
         assert found, found.reason
         assert found.after.delay_margin >= delay_margin
         loops = [armctl.linearize(arm, found.controller, [q, 0.5, -q], PLANT) for q in (-0.5, 0.2, 1.0)]

@@ -151,11 +151,12 @@ def test_torque_noise_follows_the_step_of_the_encoder_and_is_zero_without(arm):
 @pytest.mark.full
 def test_a_comparison_and_a_tuning_name_the_least_damping_of_a_law_that_vibrates(arm):
     motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
-    vibrating = armctl.compare(arm, ["pd-gravity"], motion, [elastic(arm, 6.0)], poses=1)
+    vibrating = armctl.compare(arm, ["pd-gravity"], motion, [elastic(arm, 6.0)], configurations=1)
     assert ("least damping" in armctl.table(vibrating)) == (vibrating[0].damping_ratio < 0.1)
-    assert "least damping" not in armctl.table(armctl.compare(arm, ["pd-gravity"], motion, [IDEAL], poses=1))
+    assert "least damping" not in armctl.table(armctl.compare(arm, ["pd-gravity"], motion, [IDEAL], configurations=1))
     rigid, soft = (
-        armctl.tune(arm, "computed-torque", 3e-3, 1.9, poses=[arm.home], plants=[p]) for p in (IDEAL, elastic(arm, 6.0))
+        armctl.tune(arm, "computed-torque", 3e-3, 1.9, configurations=[arm.home], plants=[p])
+        for p in (IDEAL, elastic(arm, 6.0))
     )
     assert "vibrates" not in str(rigid.before)
     assert ("vibrates" in str(soft.before)) == (soft.before.damping_ratio < 0.1)

@@ -158,7 +158,7 @@ LINES = {
     "simulate robot_arm_3dof --ctrl 0 0 0 --plot FILE": "FILE/robot_arm_3dof.png: cannot be written: File exists",
     "simulate robot_arm_3dof --ctrl 0 0 0 --seconds 1e9": "fit into a log",
     "compare robot_arm_3dof --controllers ,": "expected a list of at least one of each",
-    "compare robot_arm_3dof --workers 0": "workers: expected a number at least 1, got 0",
+    "compare robot_arm_3dof --threads 0": "threads: expected a number at least 1, got 0",
     "info FILE": "FILE: the name of a model ends in .xml or .urdf",
     "info FOLDER": "FOLDER: a folder, not an .xml or .urdf file",
     "info ./nothing": "known names; `armctl robots` lists them",

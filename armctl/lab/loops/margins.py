@@ -22,7 +22,7 @@ from armctl.model.arm.arm import Arm, check_arm
 from armctl.run.execution.move import read_controller
 from armctl.run.sim.plant import NOMINAL, Plant, read_plant
 
-_MAX_POSES = 10_000
+_MAX_CONFIGURATIONS = 10_000
 _SEED = 20_000  # of the random configurations: the same for every controller, and not those that gains are designed for
 _STARTS = 120  # further configurations at which a search for the worst one may begin
 SEARCH_STEPS = 30  # of each search
@@ -130,13 +130,15 @@ class Margins(Verdict):
         return figures
 
 
-def margins(arm: Arm, controller: Controller | str, poses: int | ArrayLike = 20, plants: Sequence[Plant] = ()) -> Margins:
+def margins(
+    arm: Arm, controller: Controller | str, configurations: int | ArrayLike = 20, plants: Sequence[Plant] = ()
+) -> Margins:
     """Linearizes the loop of an arm and a controller at many configurations, and finds the worst margins.
 
     A search by random steps then begins at the configuration with the least delay margin, and one at that with the largest Ms.
 
     Args:
-        poses: Number of configurations: home and random ones, always the same, for which no default gains are designed; or the
+        configurations: How many there are: home and random ones, always the same, for which no default gains are designed; or the
             configurations themselves, (k, n) rad, without a search.
         plants: The simulated plants; by default the one that does not differ from the model.
 
@@ -154,15 +156,15 @@ def margins(arm: Arm, controller: Controller | str, poses: int | ArrayLike = 20,
     if not isinstance(plants, Sequence):
         raise InputError(f"plants: expected a list of plants, such as [armctl.Plant(payload=1.0)], got {shown(plants)}")
     linearizers = [Linearizer(arm, read_plant(plant)) for plant in (plants or (NOMINAL,))]
-    loops = judged_loops(linearizers, law, poses)
+    loops = judged_loops(linearizers, law, configurations)
     return _worst(arm, law, loops, [loop.margins() for loop in loops])
 
 
-def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int | ArrayLike) -> list[Loop]:
-    """The loops of a controller at `configurations`, and the worst ones that searches find if those are not given."""
-    cases = [(linearizer, q) for linearizer in linearizers for q in configurations(linearizer.arm, poses)]
+def judged_loops(linearizers: Sequence[Linearizer], law: Controller, configurations: int | ArrayLike) -> list[Loop]:
+    """The loops of a controller at `judged_configurations`, and the worst ones that searches find if those are not given."""
+    cases = [(linearizer, q) for linearizer in linearizers for q in judged_configurations(linearizer.arm, configurations)]
     loops = [linearizer.loop_at(law, q) for linearizer, q in cases]
-    if _dimensions(poses):
+    if _dimensions(configurations):
         return loops
     cases += [(linearizer, q) for linearizer in linearizers for q in search_starts(linearizer.arm, loops[0])]
     known = loops + [linearizer.loop_at(law, q) for linearizer, q in cases[len(loops) :]]
@@ -200,13 +202,13 @@ def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Ca
     return linearizer.loop_at(law, smallest_configuration(linearizer.arm.limits, coarse, [start], SEARCH_STEPS, rng))
 
 
-def configurations(arm: Arm, poses: int | ArrayLike) -> Array:
+def judged_configurations(arm: Arm, configurations: int | ArrayLike) -> Array:
     """(k, n) rad, the configurations at which a controller is judged: home and random ones, or the given ones, checked."""
-    if _dimensions(poses) > 0:
-        given = matrix("poses", poses, arm.n)  # type: ignore[arg-type]
-        integer("poses", len(given), 1, _MAX_POSES)
-        return np.array([arm.checked("poses", q) for q in given])
-    count = integer("poses", poses, 1, _MAX_POSES)  # type: ignore[arg-type]
+    if _dimensions(configurations) > 0:
+        given = matrix("configurations", configurations, arm.n)  # type: ignore[arg-type]
+        integer("configurations", len(given), 1, _MAX_CONFIGURATIONS)
+        return np.array([arm.checked("configurations", q) for q in given])
+    count = integer("configurations", configurations, 1, _MAX_CONFIGURATIONS)  # type: ignore[arg-type]
     home = arm.limits.clamp(arm.home)
     return np.vstack([home, arm.limits.random(home, count - 1, np.random.default_rng(_SEED))])
 

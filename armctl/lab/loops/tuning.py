@@ -22,7 +22,7 @@ from armctl.core.validation import Array, number, shown
 from armctl.lab.loops.gain_family import LAWS, PD_LAWS, GainFamily, gain_family
 from armctl.lab.loops.linearization import Linearizer
 from armctl.lab.loops.loop import Loop, Mode, coarse_margins_around, coarse_margins_with, coarse_plant
-from armctl.lab.loops.margins import configurations, search_starts, worst_loops
+from armctl.lab.loops.margins import judged_configurations, search_starts, worst_loops
 from armctl.lab.loops.stability import CoarseMargins
 from armctl.lab.loops.state_space import ComplexArray, linear_controller
 from armctl.model.arm.arm import Arm, check_arm
@@ -32,8 +32,8 @@ _COMPLIANCE_FREQUENCY = 2 * np.pi  # rad/s
 # Of the goal. At 1 Hz, a slow loop moves its inertia rather than its springs: what lasts for minutes decides there.
 _GOAL_FREQUENCIES = (1e-2 * _COMPLIANCE_FREQUENCY, 1e-1 * _COMPLIANCE_FREQUENCY, _COMPLIANCE_FREQUENCY)
 # Configurations of the design, of those for default gains: the extreme ones, and random ones for laws without inertia matrix.
-_DESIGN_POSES = 10
-_DESIGN_POSES_WITH_MODEL = 2
+_DESIGN_CONFIGURATIONS = 10
+_DESIGN_CONFIGURATIONS_WITH_MODEL = 2
 # Of the bounds, in the design, whose margins are accurate to it.
 _RESERVE = 1.003
 _TOLERANCE = 0.001  # of the logarithms of the bounds, to which the design meets them
@@ -131,7 +131,7 @@ def tune(
     delay_margin: float = MIN_DELAY_MARGIN_S,
     peak_sensitivity: float = MAX_PEAK_SENSITIVITY,
     chatter: float | None = None,
-    poses: int | ArrayLike = 20,
+    configurations: int | ArrayLike = 20,
     plants: Sequence[Plant] = (),
 ) -> Tuning:
     """Finds the gains of a control law that yield least to disturbances while the loop satisfies bounds everywhere.
@@ -147,7 +147,7 @@ def tune(
         delay_margin: s, the smallest permitted one.
         peak_sensitivity: The largest permitted Ms, above 1.
         chatter: N m (N), the largest permitted torque noise at rest with an encoder of 1e-5 rad; None for no bound.
-        poses: Number of configurations at which the result is judged: home and random ones, always the same; or the
+        configurations: How many there are at which the result is judged: home and random ones, always the same; or the
             configurations themselves, (k, n) rad, for which the gains are then designed, too. Bounds that only a rare
             configuration violates, such as one near a singularity for "impedance", take hundreds to find.
         plants: The simulated plants, all with one control period; by default the one that does not differ from the model.
@@ -174,9 +174,9 @@ def tune(
     periods = {arm.dt if plant.timestep is None else plant.timestep for plant in checked}
     if len(periods) > 1:
         raise InputError(f"plants: expected one control period, got {sorted(periods)} s; gains are tuned for one")
-    design_poses = _DESIGN_POSES if law in PD_LAWS else _DESIGN_POSES_WITH_MODEL
+    design_configurations = _DESIGN_CONFIGURATIONS if law in PD_LAWS else _DESIGN_CONFIGURATIONS_WITH_MODEL
     default = controller_by_name(law, arm)
-    judge = _Judge([Linearizer(arm, plant) for plant in checked], poses, design_poses, bounds, default)
+    judge = _Judge([Linearizer(arm, plant) for plant in checked], configurations, design_configurations, bounds, default)
     family = gain_family(arm, law, periods.pop())
     before = judge.before
     x = judge.design.start(family)
@@ -419,17 +419,17 @@ class _Judge:
     def __init__(
         self,
         linearizers: Sequence[Linearizer],
-        poses: int | ArrayLike,
-        design_poses: int,
+        configurations: int | ArrayLike,
+        design_configurations: int,
         bounds: _Bounds,
         default: Controller,
     ):
         arm = linearizers[0].arm
         self.linearizers = linearizers
         self._bounds = bounds
-        given = configurations(arm, poses)
-        sampled = np.vstack([arm.limits.clamp(arm.home), sample_configurations(arm)[-design_poses:]])
-        self._has_searches = not np.ndim(poses)
+        given = judged_configurations(arm, configurations)
+        sampled = np.vstack([arm.limits.clamp(arm.home), sample_configurations(arm)[-design_configurations:]])
+        self._has_searches = not np.ndim(configurations)
         self.design = _Design(arm, _cases(linearizers, sampled if self._has_searches else given), bounds)
         self._cases = _cases(linearizers, given)
         self._given = len(self._cases)  # how many of the cases are judged; searches may begin at the others, too

@@ -33,7 +33,7 @@ def solve_ik_all(
     position_tolerance: float = 1e-5,
     orientation_tolerance: float = 1e-4,
     free_axis: str | None = None,
-    avoid_collisions: bool = False,
+    avoid: bool = False,
     seed: int = 0,
 ) -> IkBatch:
     """All configurations that bring the tip to a target, inside the joint limits, the nearest to q0 first.
@@ -60,7 +60,7 @@ def solve_ik_all(
         position_tolerance: m.
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which the target may be turned freely.
-        avoid_collisions: Whether solutions must be free of contact of the arm with itself and with the scene.
+        avoid: Whether solutions must be free of contact of the arm with itself and with the scene.
 
     Returns:
         The solutions, sorted by their distance from q0. If there is none, the result has one row, which is the best
@@ -87,8 +87,8 @@ def solve_ik_all(
         seed = read_seed(seed)
     if type(limit) is not int or limit < 1:
         limit = integer("limit", limit, 1)
-    if avoid_collisions is not False:
-        avoid_collisions = flag("avoid_collisions", avoid_collisions)
+    if avoid is not False:
+        avoid = flag("avoid", avoid)
     form = chain.closed_form
     if form is not None and form.is_exact and constraint == _POSE:
         found = closed_form_solutions(chain, form, rows, start, position_tolerance, orientation_tolerance, limit)
@@ -97,7 +97,7 @@ def solve_ik_all(
         problem = Problem(arm, chain, constraint, goal, start[None], position_tolerance, orientation_tolerance, seed)
         found = _inexact_solutions(problem, limit)
     is_complete = found.is_complete and len(found.q) <= limit
-    if avoid_collisions:
+    if avoid:
         contact_at = checkable(arm).at
         found = found.select(np.array([k for k, q in enumerate(found.q) if not contact_at(q)], np.int64))
     count = len(found.q)
@@ -110,7 +110,7 @@ def solve_ik_all(
                 position_tolerance=position_tolerance,
                 orientation_tolerance=orientation_tolerance,
                 free_axis=free_axis,
-                avoid_collisions=avoid_collisions,
+                avoid=avoid,
                 seed=seed,
             )
         )

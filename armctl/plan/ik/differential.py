@@ -45,7 +45,7 @@ class DifferentialIk:
         *,
         posture: ArrayLike | None = None,
         posture_gain: float = 4.0,
-        avoid_collisions: bool = False,
+        avoid: bool = False,
         clearance: float = 0.01,
         tasks: Sequence[BaseTask] = (),
         limits: Sequence[mink.Limit] = (),
@@ -58,7 +58,7 @@ class DifferentialIk:
             posture: (n,) rad (m for a slide joint), which the joints approach as far as the tip leaves them free. By default
                 the arm's home.
             posture_gain: 1/s, the gain of the posture; 0 disables it.
-            avoid_collisions: Whether to keep the arm clear of itself and of the scene.
+            avoid: Whether to keep the arm clear of itself and of the scene.
             clearance: m, the distance to keep.
             tasks: Further mink tasks, made for `arm.model`.
             limits: Further mink limits, made for `arm.model`.
@@ -68,7 +68,7 @@ class DifferentialIk:
         Raises:
             InputError: An argument has a wrong shape, type or value.
             LimitError: The posture is outside the joint limits.
-            ModelError: The arm could touch a height field or signed distance field, which `avoid_collisions` cannot avoid.
+            ModelError: The arm could touch a height field or signed distance field, which `avoid` cannot avoid.
         """
         import mink
         from mink.tasks import BaseTask
@@ -88,7 +88,7 @@ class DifferentialIk:
         self._constraints = _checked_list("constraints", constraints, mink.Task)
         self._is_alone = len(self._tasks) == 1
         clearance = number("clearance", clearance, 0.0)
-        self._clearance = ClearanceLimit(arm, clearance) if flag("avoid_collisions", avoid_collisions) else None
+        self._clearance = ClearanceLimit(arm, clearance) if flag("avoid", avoid) else None
         self._all_limits = [*self._limits, self._clearance] if self._clearance is not None else self._limits
         self._needs_kinematics = bool(self._limits or self._constraints or not self._is_alone)
 

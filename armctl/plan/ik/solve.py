@@ -48,7 +48,7 @@ def solve_ik(
     orientation_tolerance: float = 1e-4,
     free_axis: str | None = None,
     nearest: bool = False,
-    avoid_collisions: bool = False,
+    avoid: bool = False,
     seed: int = 0,
 ) -> IkResult:
     """The configuration that brings the tip to a target, inside the joint limits.
@@ -63,7 +63,7 @@ def solve_ik(
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which the target may be turned freely.
         nearest: Whether to take the solution nearest to q0 of all that `solve_ik_all` finds; with surplus joints, of a sample.
-        avoid_collisions: Whether a solution must be free of contact of the arm with itself and with the scene. Everything
+        avoid: Whether a solution must be free of contact of the arm with itself and with the scene. Everything
             outside the chain is at home.
 
     Returns:
@@ -89,10 +89,10 @@ def solve_ik(
         orientation_tolerance = read_tolerance("orientation_tolerance", orientation_tolerance)
     if type(seed) is not int or not 0 <= seed < 2**63:
         seed = read_seed(seed)
-    if nearest is not False or avoid_collisions is not False:
+    if nearest is not False or avoid is not False:
         starts = read_start(arm, chain, q0)[None]
         problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
-        contact_at = checkable(arm).at if flag("avoid_collisions", avoid_collisions) else None
+        contact_at = checkable(arm).at if flag("avoid", avoid) else None
         candidates = _candidates(problem, stay_near=q0 is not None)
         if flag("nearest", nearest):
             candidates = itertools.chain(_nearest_candidates(problem), candidates)

@@ -83,7 +83,7 @@ def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeS
     arm.limits.at_speed(speed)  # a wrong speed is an error even if the target is out of reach
     if space is not None:
         return plan_free(arm, target, q_start, target, speed, space)
-    solution = solve_ik(arm, target, q_start, avoid_collisions=not arm.unchecked_links)
+    solution = solve_ik(arm, target, q_start, avoid=not arm.unchecked_links)
     if not solution.ok and not arm.unchecked_links:
         solution = solve_ik(arm, target, q_start)
     if not solution.ok:

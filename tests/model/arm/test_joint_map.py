@@ -110,7 +110,7 @@ def test_inverse_kinematics_keeps_what_follows_clear_too(load):
     wall = armctl.Scene().add_box("wall", [0.05, 0.05, 0.05], target)
     arm = load(solid, ties("c b 0.1 -0.5") + motors("a b d"), scene=wall)
     assert armctl.solve_ik(arm, target).ok
-    assert not armctl.solve_ik(arm, target, avoid_collisions=True).ok
+    assert not armctl.solve_ik(arm, target, avoid=True).ok
 
 
 def test_tied_chains_in_one_team(load, tmp_path):

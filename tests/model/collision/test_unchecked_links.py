@@ -65,7 +65,7 @@ def test_an_arm_whose_meshes_are_all_missing_is_nowhere_proved(tmp_path):
     with pytest.raises(armctl.ModelError, match="not checkable: link0"):
         armctl.move_free(arm, arm.home, arm.home + 0.2)
     with pytest.raises(armctl.ModelError, match="not checkable: link0"):
-        armctl.solve_ik(arm, [0.5, 0.1, 0.5], avoid_collisions=True)
+        armctl.solve_ik(arm, [0.5, 0.1, 0.5], avoid=True)
     with pytest.raises(armctl.ModelError, match="not checkable: link0"):
         armctl.Stream(arm, arm.home, avoid=True)
     for design in (lambda: armctl.excitation(arm, for_="frequency"), lambda: armctl.calibration_poses(arm)):

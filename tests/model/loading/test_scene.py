@@ -40,7 +40,7 @@ def test_inverse_kinematics_keeps_clear_of_the_scene(bundled: armctl.Arm):
     wall = armctl.Scene().add_box("wall", [0.06, 0.06, 0.06], target)
     arm = armctl.load(bundled.name, scene=wall)
     assert armctl.solve_ik(arm, target).ok
-    assert not armctl.solve_ik(arm, target, avoid_collisions=True).ok
+    assert not armctl.solve_ik(arm, target, avoid=True).ok
 
 
 WRONG = {
@@ -154,7 +154,7 @@ def test_inverse_kinematics_keeps_clear_of_a_file(bundled: armctl.Arm, tmp_path:
     )
     arm = armctl.load(bundled.name, scene=tmp_path / "wall.xml")
     assert armctl.solve_ik(arm, target).ok
-    assert not armctl.solve_ik(arm, target, avoid_collisions=True).ok
+    assert not armctl.solve_ik(arm, target, avoid=True).ok
 
 
 FILES = {

@@ -301,7 +301,7 @@ def with_wall(arm: Arm, name: str, folder: Path) -> Arm:
 
 def runs_into_nothing(arm: Arm, toward: Callable[[np.ndarray], np.ndarray], count: int, steps: int) -> int:
     """Follows a target behind things from free configurations; returns how many of them came near something."""
-    ik = DifferentialIk(arm, avoid_collisions=True)
+    ik = DifferentialIk(arm, avoid=True)
     contacts = collision_checker(arm)
     starts = [q for q in positions(arm, 20 * count) if not contacts.at(q)][:count]
     assert len(starts) == count
@@ -336,7 +336,7 @@ def test_stops_before_a_wall(name: str, tmp_path: Path):
 def test_from_inside_a_plate_it_moves_out(tmp_path: Path):
     arm = arm_among(tmp_path, '<geom name="plate" type="box" size="0.3 0.3 0.02" pos="0.45 0 0.3"/>')
     contacts = collision_checker(arm)
-    ik = DifferentialIk(arm, avoid_collisions=True)
+    ik = DifferentialIk(arm, avoid=True)
     inside = [q for q in positions(arm, 200) if "plate" in contacts.at(q) and deepest(arm, q) < 0.04][:5]
     ends = [follow(ik, q, arm.fk(q).position, 60, 2 * DT)[0] for q in inside]
     assert [contacts.at(q) for q in ends] == [""] * 5
@@ -346,9 +346,9 @@ def test_steps_that_avoid_collisions_do_not_depend_on_earlier_ones(tmp_path: Pat
     arm = arm_among(tmp_path)
     q = positions(arm, 1)[0]
     target = beside(arm, q, [0.3, 0.0, -0.3])
-    first = DifferentialIk(arm, avoid_collisions=True).step(q, target, DT)
+    first = DifferentialIk(arm, avoid=True).step(q, target, DT)
     collision_checker(arm).nearest(arm.home)
-    used = DifferentialIk(arm, avoid_collisions=True)
+    used = DifferentialIk(arm, avoid=True)
     follow(used, arm.home, target, 5)
     assert np.array_equal(used.step(q, target, DT), first)
 
@@ -357,7 +357,7 @@ def test_a_height_field_cannot_be_avoided(tmp_path: Path):
     hills = '<hfield name="hills" nrow="3" ncol="3" elevation="0 0 0 0 1 0 0 0 0" size="1 1 0.3 0.1"/>'
     arm = arm_among(tmp_path, '<geom name="hills" type="hfield" hfield="hills"/>', hills)
     with pytest.raises(ModelError, match=r"^hills: a height field or signed distance field, for which no"):
-        DifferentialIk(arm, avoid_collisions=True)
+        DifferentialIk(arm, avoid=True)
 
 
 @pytest.mark.parametrize(
@@ -376,7 +376,7 @@ def test_a_height_field_cannot_be_avoided(tmp_path: Path):
 )
 def test_a_wrong_follower_is_one_sentence(arguments, error, sentence):
     with pytest.raises(error) as caught:
-        DifferentialIk(arm_of("robot_arm_3dof"), **{"avoid_collisions": True, **arguments})
+        DifferentialIk(arm_of("robot_arm_3dof"), **{"avoid": True, **arguments})
     assert str(caught.value) == sentence
 
 

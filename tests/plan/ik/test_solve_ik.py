@@ -271,8 +271,8 @@ def test_nearest_is_at_least_as_near(name: str):
 
 def test_an_arm_that_nobody_needs_any_more_is_forgotten():
     arm = armctl.load("robot_arm_3dof")
-    solve_ik(arm, arm.fk(arm.home), avoid_collisions=True)
-    armctl.DifferentialIk(arm, avoid_collisions=True).step(arm.home, arm.fk(arm.home), 0.01)
+    solve_ik(arm, arm.fk(arm.home), avoid=True)
+    armctl.DifferentialIk(arm, avoid=True).step(arm.home, arm.fk(arm.home), 0.01)
     alive = weakref.ref(arm)
     del arm
     gc.collect()
@@ -284,7 +284,7 @@ def test_avoiding_collisions_is_what_mujoco_says(name: str):
     arm = arm_of(name)
     contacts = collision_checker(arm)
     free = [q for q in positions(arm, 24) if not contacts.at(q)][:12]
-    results = [solve_ik(arm, target_of(arm, q), avoid_collisions=True) for q in free]
+    results = [solve_ik(arm, target_of(arm, q), avoid=True) for q in free]
     assert len(free) >= 4
     assert sum(result.ok for result in results) >= 0.75 * len(free)
     assert [bool(contacts.at(result.q)) for result in results] == [not result.ok for result in results]
@@ -307,7 +307,7 @@ def test_contacts_between_links_that_always_touch_do_not_count(tmp_path):
     assert contacts.at(np.array([2.5, 0.0])) == "upper touches floor"
     below = arm.fk(np.array([2.5, 0.0])).position
     assert solve_ik(arm, below).ok
-    blocked = solve_ik(arm, below, avoid_collisions=True)
+    blocked = solve_ik(arm, below, avoid=True)
     assert not blocked.ok
     assert "touches floor" in blocked.reason
 

@@ -323,7 +323,7 @@ def test_solutions_in_contact_are_left_out():
     touching = next(q for q in arm.limits.random(arm.home, 500, np.random.default_rng(0)) if contacts.at(q))
     point = arm.fk(touching).position
     anywhere = solve_ik_all(arm, point)
-    free = solve_ik_all(arm, point, avoid_collisions=True)
+    free = solve_ik_all(arm, point, avoid=True)
     assert len([q for q in anywhere.q if not contacts.at(q)]) == (len(free) if free else 0)
     assert free or "no solution without contact" in free.reason[0]
 

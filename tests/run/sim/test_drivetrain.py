@@ -271,7 +271,7 @@ def test_a_payload_and_an_identified_arm_keep_their_masses_behind_springs(arm):
 
 
 def test_tune_says_that_a_law_takes_elastic_joints_as_rigid(arm):
-    found = armctl.tune(arm, "computed-torque", delay_margin=0.5, poses=1, plants=[armctl.Plant(**SPRING)])
+    found = armctl.tune(arm, "computed-torque", delay_margin=0.5, configurations=1, plants=[armctl.Plant(**SPRING)])
     assert not found
     assert "on elastic joints, which it takes as rigid (ElasticFeedforward knows the springs)" in found.reason
 

@@ -32,7 +32,7 @@ def solved(arm: armctl.Arm, seed: int) -> list[float]:
 
 
 def solved_without_contact(arm: armctl.Arm, seed: int) -> list[float]:
-    result = armctl.solve_ik(arm, arm.fk(position(arm, seed)), avoid_collisions=True)
+    result = armctl.solve_ik(arm, arm.fk(position(arm, seed)), avoid=True)
     return [*result.q, result.position_error, float(result.ok)]
 
 
