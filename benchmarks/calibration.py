@@ -162,7 +162,7 @@ class DeskArm:
 
     def recording(self, arm: armctl.Arm, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Commands, what the encoders read, and what encoders without steps would read, (T, 5) rad each."""
-        motion = armctl.excitation(arm, for_="arm", seconds=SECONDS, seed=seed)
+        motion = armctl.excitation(arm, for_="arm", duration=SECONDS, seed=seed)
         command = motion.sample(np.arange(0.0, SECONDS, TICK_S)).q
         model = mujoco.MjModel.from_xml_string(self._text(*self.true.values(), self.backlash))
         model.opt.timestep = 0.0005

@@ -116,7 +116,7 @@ def possible_links(inertia: np.ndarray) -> int:
 def simulated(arms: dict[str, armctl.Arm], seeds: int) -> str:
     rows = []
     for name, arm in arms.items():
-        motion = armctl.excitation(arm, seconds=5.0, for_="arm")
+        motion = armctl.excitation(arm, duration=5.0, for_="arm")
         for coulomb in (0.0, COULOMB_SHARE):
             for seed in range(seeds):
                 real = changed(arm, seed, coulomb)

@@ -62,9 +62,9 @@ def row(arm: armctl.Arm, x: float, height: float, seeds: int) -> list[str]:
         print(arm.name, seed, result, flush=True)
         results.append(result)
         times += elapsed
-    simulated = sum(result.seconds for result in results)
+    simulated = sum(result.duration for result in results)
     there = [result for result in results if result]
-    seconds = [result.seconds for result in there] or [np.nan]
+    seconds = [result.duration for result in there] or [np.nan]
     errors = [[1e3 * result.position_error, result.angle_error] for result in there] or [[np.nan, np.nan]]
     millimetres, radians = np.max(errors, axis=0)
     return [
@@ -91,7 +91,7 @@ def pushed(arm: armctl.Arm, box: np.ndarray, seed: int) -> tuple[armctl.PushResu
         raise RuntimeError(start.reason)
     simulation.reset(start.q)
     began = np.array([time.process_time(), time.perf_counter()])
-    result = armctl.push(simulation, "box", goal, seconds=30.0, seed=seed)
+    result = armctl.push(simulation, "box", goal, timeout=30.0, seed=seed)
     return result, np.array([time.process_time(), time.perf_counter()]) - began
 
 

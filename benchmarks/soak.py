@@ -99,7 +99,7 @@ def work(soak: Soak, sim: armctl.Simulation, robot: str, url: str, rng: np.rando
         soak.counts["moves"] += 1
     center = sim.tip.position
     radius = 0.05 * rng.random()
-    log = sim.follow(lambda t: center + radius * np.array([np.cos(t) - 1.0, np.sin(t), 0.0]), seconds=FOLLOW_S)
+    log = sim.follow(lambda t: center + radius * np.array([np.cos(t) - 1.0, np.sin(t), 0.0]), duration=FOLLOW_S)
     soak.counts["ticks followed"] += len(log.t)
     sim.reset()
     loaded = armctl.load(robot)

@@ -248,11 +248,11 @@ def real_time(robot: str, seconds: float) -> tuple[float, float]:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=SOFTWARE_GL.split())
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
         tab.goto(sim.viewer.url)
-        sim.follow(target, seconds=2.0)  # loads what a run needs
+        sim.follow(target, duration=2.0)  # loads what a run needs
         tab.get_by_text("real time").wait_for(timeout=60e3)
         factors.clear()
         started = time.perf_counter()
-        sim.follow(target, seconds=seconds)
+        sim.follow(target, duration=seconds)
         factor = seconds / (time.perf_counter() - started)
         browser.close()
     sim.viewer.close()

@@ -184,7 +184,7 @@ def follow(clock: Clock, calls: int) -> Callable[[], None]:
         last[:] = now
         return target(t)
 
-    log = sim.follow(read, seconds=calls / 50)
+    log = sim.follow(read, duration=calls / 50)
 
     def verify() -> None:
         judge = Judge(sim.arm)

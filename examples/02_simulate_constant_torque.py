@@ -3,7 +3,7 @@
 import armctl
 
 sim = armctl.Simulation("robot_arm_3dof")
-log = sim.apply_ctrl([0.5, -0.3, -0.2], seconds=1.0)  # motor controls; a joint's torque is gear x control
+log = sim.apply_ctrl([0.5, -0.3, -0.2], duration=1.0)  # motor controls; a joint's torque is gear x control
 print(f"joint torques, N m: {log.tau[0]}")
 print("time, s   joint angles, rad          tip, m")
 for k in range(0, len(log), 100):

@@ -20,7 +20,7 @@ real.dof_armature[:3] *= 1.5
 
 def recording(seed):
     """Commands 50 times a second along a motion, and what encoders of 12 bits read."""
-    command = armctl.excitation(arm, seconds=6.0, for_="arm", seed=seed).sample(np.arange(0.0, 6.0, 0.02)).q
+    command = armctl.excitation(arm, duration=6.0, for_="arm", seed=seed).sample(np.arange(0.0, 6.0, 0.02)).q
     data = mujoco.MjData(real)
     data.qpos[:3] = command[0]
     positions = []

@@ -22,4 +22,4 @@ sim.reset(armctl.solve_ik(arm, beside, np.zeros(arm.n), free_axis="z").q)
 
 goal = armctl.Pose(box + way, rpy=[0.0, 0.0, 0.2])
 result = armctl.push(sim, "box", goal, seed=1)
-print(result.ok, f"after {result.seconds:.1f} s: {1e3 * result.position_error:.1f} mm and {result.angle_error:.2f} rad")
+print(result.ok, f"after {result.duration:.1f} s: {1e3 * result.position_error:.1f} mm and {result.angle_error:.2f} rad")

@@ -26,13 +26,13 @@ def add(commands: common.Commands) -> None:
     parser.add_argument("--tool", help="gripper, hand or MJCF file at the tip of the model")
     parser.add_argument("--calibration", metavar="FILE", help="of an SO-101, as lerobot-calibrate wrote it")
     parser.add_argument("--payload", metavar="KG", default="0", help="that the robot is set to, in kg (default 0)")
-    parser.add_argument("--seconds", metavar="S", default="10", help="how long (default 10)")
+    parser.add_argument("--duration", metavar="S", default="10", help="how long (default 10)")
     parser.add_argument("--no-real-time", action="store_true", help="without real-time priority, for a simulated Franka")
     common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    seconds = common.one_number("seconds", args.seconds)
+    duration = common.one_number("duration", args.duration)
     payload = common.one_number("payload", args.payload)
     from armctl.model.loading.load import load
     from armctl.run.links.robot import Robot
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
 
             view_robot(robot)
             return common.DONE
-        check = robot.check(seconds)
+        check = robot.check(duration)
     common.print_result(args, str(check), json_value(asdict(check)), check.reason)
     return common.DONE if check else common.NOT_REACHED
 

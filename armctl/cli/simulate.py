@@ -10,7 +10,7 @@ def add(commands: common.Commands) -> None:
     parser = common.add_command(commands, "simulate", run, "simulate the arm under constant motor controls")
     common.add_arm(parser)
     parser.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control per motor; torque = gear x control")
-    parser.add_argument("--seconds", default="2", help="how long, s (default 2)")
+    parser.add_argument("--duration", default="2", help="how long, s (default 2)")
     parser.add_argument("--plot", type=Path, metavar="PATH", help="draw the run: a picture, or a folder for it")
     common.add_json(parser)
 
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     if args.plot is not None and args.plot.suffix and not args.plot.is_dir():
         file_path("plot", args.plot, ENDINGS)
     arm = common.load_arm_with_notes(args)
-    log = Simulation(arm).apply_ctrl(common.numbers("ctrl", args.ctrl), common.one_number("seconds", args.seconds))
+    log = Simulation(arm).apply_ctrl(common.numbers("ctrl", args.ctrl), common.one_number("duration", args.duration))
     columns = {"q": log.q, "v": log.v, "tau": log.tau}
     joints = {k: dict(zip(log.joint_names, column[-1].round(6).tolist(), strict=True)) for k, column in columns.items()}
     last = {"t": log.t[-1], **joints, "tip": log.tip[-1].round(6).tolist()}

@@ -182,13 +182,13 @@ def test_save_writes_the_log_the_figures_and_the_plot(capsys, tmp_path):
 
 def test_simulate_holds_the_controls_and_plots(capsys, tmp_path):
     status, out, _ = run(
-        capsys, "simulate", BUNDLED, "--ctrl", "0.5", "-0.3", "-0.2", "--seconds", "2", "--plot", str(tmp_path)
+        capsys, "simulate", BUNDLED, "--ctrl", "0.5", "-0.3", "-0.2", "--duration", "2", "--plot", str(tmp_path)
     )
     assert status == 0
     assert "shoulder_yaw" in out
     assert "after 2.000 s the tip is at" in out
     assert (tmp_path / f"{BUNDLED}.png").is_file()
-    run(capsys, "simulate", BUNDLED, "--ctrl", "0", "0", "0", "--seconds", "0.1", "--plot", str(tmp_path / "mine.svg"))
+    run(capsys, "simulate", BUNDLED, "--ctrl", "0", "0", "0", "--duration", "0.1", "--plot", str(tmp_path / "mine.svg"))
     assert (tmp_path / "mine.svg").is_file()
 
 
@@ -302,8 +302,8 @@ WRONG_CALLS = {
     "unknown controller": (["reach", BUNDLED, "--controller", "pdd"], "unknown controller 'pdd'; did you mean 'pd'?"),
     "no such file": (["reach", "nothing.xml"], "nothing.xml: no such file"),
     "negative time": (
-        ["simulate", BUNDLED, "--ctrl", "1", "1", "1", "--seconds", "-1"],
-        "seconds: expected a number at least 0, got -1",
+        ["simulate", BUNDLED, "--ctrl", "1", "1", "1", "--duration", "-1"],
+        "duration: expected a number at least 0, got -1",
     ),
     "control out of range": (["simulate", BUNDLED, "--ctrl", "1", "1", "9"], "ctrl: elbow: 9 is outside [-5, 5]"),
     "no controllers": (["compare", BUNDLED, "--controllers", ""], "expected a list of at least one of each"),

@@ -26,7 +26,7 @@ def test_simulate_notes_replaced_servos_and_contacts_that_are_left_out(tmp_path,
     )
     path = tmp_path / "arm.xml"
     path.write_text(mjcf(bodies, FAST + SERVOS))
-    assert main(["simulate", str(path), "--ctrl", "0.5", "--seconds", "0.01"]) == 0
+    assert main(["simulate", str(path), "--ctrl", "0.5", "--duration", "0.01"]) == 0
     printed = capsys.readouterr().out
     assert "note: contact of base with link1 left out" in printed
     assert "in MuJoCo alone their friction brakes the joint" in printed

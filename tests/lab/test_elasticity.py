@@ -16,7 +16,7 @@ SPRINGS = {"elasticity": STIFFNESS, "rotor_inertia": 0.2}
 def recorded(load):
     """An arm, a log of its links on springs, and the positions of its motors."""
     arm = load(limb("a b", joint='armature="0.1" damping="0.5"'), FAST + motors("a b"))
-    motion = armctl.excitation(arm, seconds=4.0, for_="arm")
+    motion = armctl.excitation(arm, duration=4.0, for_="arm")
     positions = []
 
     class Watching(armctl.ElasticFeedforward):

@@ -471,7 +471,7 @@ def test_a_long_excitation_is_found_among_obstacles():
     for i, angle in enumerate(np.linspace(0.0, 2 * np.pi, 6, endpoint=False) + 0.5):
         scene = scene.add_ball(f"ball{i}", 0.05, at=[0.45 * np.cos(angle), 0.45 * np.sin(angle), 0.5])
     arm = armctl.load("robot_arm_3dof", scene=scene)
-    motion = armctl.excitation(arm, seconds=20.0, for_="arm", start=arm.home)
+    motion = armctl.excitation(arm, duration=20.0, for_="arm", start=arm.home)
     assert motion.duration == pytest.approx(20.0)
     assert armctl.check_clearance(arm, motion, 0.004).ok
     assert armctl.check_torque(arm, motion).ratio < 1.0

@@ -124,7 +124,7 @@ def test_the_proposed_notch_raises_the_margin_as_predicted(arm, fits):
 
 
 def test_one_joint_alone_and_no_torques(arm):
-    motion = armctl.excitation(arm, for_="frequency", joint=2, seconds=40.0)
+    motion = armctl.excitation(arm, for_="frequency", joint=2, duration=40.0)
     assert not np.ptp(motion.coefficients[:, 0, :2], axis=0).any()
     plant = armctl.Plant(timestep=0.002)
     law = armctl.PDGravity(arm, **STIFF)
@@ -173,7 +173,7 @@ def test_a_response_is_drawn(tmp_path, motion, elastic):
             "log: a joint did not move",
         ),
         (lambda arm, motion, log: armctl.excitation(arm, for_="arm", joint=1), "joint: a motion that identifies"),
-        (lambda arm, motion, log: armctl.excitation(arm, for_="frequency", seconds=5.0), "seconds: expected at least"),
+        (lambda arm, motion, log: armctl.excitation(arm, for_="frequency", duration=5.0), "duration: expected at least"),
         (lambda arm, motion, log: armctl.excitation(arm, for_="frequency", joint="elbow"), "joint: there is no joint"),
     ],
 )

@@ -57,7 +57,7 @@ def test_pd_sags_under_the_weight_and_computed_torque_does_not(bundled: armctl.A
 
 
 def test_constant_torque_flings_the_arm_against_its_limits(bundled: armctl.Arm):
-    log = armctl.Simulation(bundled).apply_ctrl([0.5, -0.3, -0.2], seconds=2.0)
+    log = armctl.Simulation(bundled).apply_ctrl([0.5, -0.3, -0.2], duration=2.0)
     assert np.allclose(log.tau, [25.0, -15.0, -6.0])
     assert np.allclose(log.q[-1], [3.14, -1.57, -2.35], atol=0.01)
     assert np.abs(log.v[-1]).max() < 1e-3

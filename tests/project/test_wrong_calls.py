@@ -71,8 +71,8 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
         "got None; .* every move of a Sim",
     ),  # type: ignore
     "no time to follow": (
-        lambda: armctl.Simulation(arm()).follow(lambda t: [0.3, 0.0, 0.5], seconds=0.0),
-        r"seconds: expected a number at least 0\.00",
+        lambda: armctl.Simulation(arm()).follow(lambda t: [0.3, 0.0, 0.5], duration=0.0),
+        r"duration: expected a number at least 0\.00",
     ),
     "an arm's name to the cycles of the standard": (lambda: armctl.iso9283_cycles(arm().name), "arm: expected Arm, got .*"),  # type: ignore
     "filters in an array": (
@@ -156,7 +156,7 @@ LINES = {
     "reach robot_arm_3dof --save FILE": "FILE/log.npz: cannot be written: File exists",
     "reach robot_arm_3dof --save FILE/run": "FILE/run/log.npz: cannot be written: Not a directory",
     "simulate robot_arm_3dof --ctrl 0 0 0 --plot FILE": "FILE/robot_arm_3dof.png: cannot be written: File exists",
-    "simulate robot_arm_3dof --ctrl 0 0 0 --seconds 1e9": "fit into a log",
+    "simulate robot_arm_3dof --ctrl 0 0 0 --duration 1e9": "fit into a log",
     "compare robot_arm_3dof --controllers ,": "expected a list of at least one of each",
     "compare robot_arm_3dof --threads 0": "threads: expected a number at least 1, got 0",
     "info FILE": "FILE: the name of a model ends in .xml or .urdf",

@@ -301,7 +301,7 @@ def test_a_pipe_in_a_name_breaks_no_table():
 def test_after_follow_the_goal_is_the_target_that_was_given(bundled):
     sim = armctl.Simulation(bundled)
     target = bundled.fk(bundled.home + 0.3).position
-    sim.follow(lambda t: target, seconds=0.2)  # too short to arrive
+    sim.follow(lambda t: target, duration=0.2)  # too short to arrive
     assert sim.log is not None
     report = Report.from_log(sim.log)
     missing = float(np.linalg.norm(sim.log.tip[-1] - target))

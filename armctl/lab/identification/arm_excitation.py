@@ -74,21 +74,21 @@ class _Score(NamedTuple):
     condition: float  # the condition number of the regressor with columns of equal length
 
 
-def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int, start: Array | None = None) -> Excitation:
+def arm_excitation(arm: Arm, duration: float, speed: float, seed: int, start: Array | None = None) -> Excitation:
     """The most informative of several safe motions, from `start` or home; else, with a warning, from near home."""
     score_of = _Scorer(arm)
     checker = collision_checker(arm)
     checker.require_provable_among_obstacles()
     if start is not None:
-        return _from(start, arm, checker, score_of, seconds, speed, seed)
+        return _from(start, arm, checker, score_of, duration, speed, seed)
     home = arm.limits.clamp(arm.home)
     try:
-        return _from(home, arm, checker, score_of, seconds, speed, seed)
+        return _from(home, arm, checker, score_of, duration, speed, seed)
     except PlanError as error:
         from_home = error
     for other in _other_starts(arm, checker, np.random.default_rng(seed)):
         try:
-            motion = _from(other, arm, checker, score_of, seconds, speed, seed)
+            motion = _from(other, arm, checker, score_of, duration, speed, seed)
         except PlanError:
             continue
         at = ", ".join(f"{position:.3g}" for position in other)
@@ -114,13 +114,13 @@ def _other_starts(arm: Arm, checker: CollisionChecker, rng: np.random.Generator)
 
 
 def _from(
-    start: Array, arm: Arm, checker: CollisionChecker, score_of: _Scorer, seconds: float, speed: float, seed: int
+    start: Array, arm: Arm, checker: CollisionChecker, score_of: _Scorer, duration: float, speed: float, seed: int
 ) -> Excitation:
     rng = np.random.default_rng(seed)
     near = checker.at(start, CLEARANCE_M)
     if near:
         raise PlanError(f"{arm.name:.80}: no motion from q = {np.round(start, 3)} is safe: {near:.200} within 5 mm")
-    count = max(_MIN_CONFIGURATIONS, round(seconds / _SECONDS_PER_CONFIGURATION))
+    count = max(_MIN_CONFIGURATIONS, round(duration / _SECONDS_PER_CONFIGURATION))
     best: Excitation | None = None
     least = np.inf
     found = 0
@@ -134,9 +134,9 @@ def _from(
         except (PlanError, LimitError) as error:
             reason = str(error)
             continue
-        factor = fastest.duration / seconds
+        factor = fastest.duration / duration
         if factor > speed:
-            reason = f"a motion through {count} configurations takes more than {seconds:g} s"
+            reason = f"a motion through {count} configurations takes more than {duration:g} s"
             count = max(_MIN_CONFIGURATIONS, min(count - 1, int(count * speed / factor)))
             continue
         if factor < speed * count / (count + 1):

@@ -55,7 +55,7 @@ def excitation(
     arm: Arm,
     payload: float = 1.0,
     *,
-    seconds: float | None = None,
+    duration: float | None = None,
     for_: str = "payload",
     speed: float | None = None,
     seed: int = 0,
@@ -72,7 +72,7 @@ def excitation(
 
     Args:
         payload: kg, the largest mass that its tip may be holding; only for a payload.
-        seconds: s, the duration of a motion for the arm, 5 by default, or for a frequency response, where a longer one has
+        duration: s, of a motion for the arm, 5 by default, or for a frequency response, where a longer one has
             narrower bounds; one for a payload takes as long as it needs.
         for_: "arm" for `identify`, "payload" for `identify_payload`, "frequency" for `FrequencyResponse.from_log`.
         speed: Fraction of the full speed, in (0, 1]; for the arm the largest that the motion may have, for a frequency
@@ -94,8 +94,8 @@ def excitation(
     check_arm(arm)
     payload = number("payload", payload, 0.0, _MAX_PAYLOAD_KG)
     for_ = choice("for_", for_, tuple(_SPEEDS))
-    if seconds is not None:
-        seconds = number("seconds", seconds, _MIN_SECONDS, _MAX_SECONDS)
+    if duration is not None:
+        duration = number("duration", duration, _MIN_SECONDS, _MAX_SECONDS)
     speed = check_speed(_SPEEDS[for_] if speed is None else speed)
     instance("seed", seed, (int, np.integer), "give an integer")
     number("seed", seed, 0)
@@ -105,9 +105,9 @@ def excitation(
         raise InputError("joint: a motion that identifies parameters moves all joints; leave it out, or use for_='frequency'")
     begin = None if start is None else arm.checked("start", start)
     if for_ == "frequency":
-        return multisine_excitation(arm, seconds, speed, int(seed), begin, joint)
+        return multisine_excitation(arm, duration, speed, int(seed), begin, joint)
     if for_ == "arm":
-        return arm_excitation(arm, _SECONDS if seconds is None else seconds, speed, int(seed), begin)
+        return arm_excitation(arm, _SECONDS if duration is None else duration, speed, int(seed), begin)
     motion = _payload_excitation(arm, payload, speed, int(seed))
     return excitation_along(motion, excites="payload", condition_number=_condition_number(arm, motion))
 

@@ -43,7 +43,7 @@ _FACTORS = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05)  # of the size, tried one after 
 
 
 def multisine_excitation(
-    arm: Arm, seconds: float | None, speed: float, seed: int, start: Array | None, joint: int | str | None
+    arm: Arm, duration: float | None, speed: float, seed: int, start: Array | None, joint: int | str | None
 ) -> Excitation:
     """A motion of joints around a configuration in odd harmonics, as large as the limits permit and proved free.
 
@@ -53,10 +53,10 @@ def multisine_excitation(
     q = arm.limits.clamp(arm.home) if start is None else start
     joints = tuple(range(arm.n)) if joint is None else (joint_index(arm.joint_names, joint),)
     block = _PERIODS * _PERIOD_S
-    sets = len(joints) + _FREEDOM if seconds is None else min(int((seconds - _TURN_S) / block), _MAX_SETS)
+    sets = len(joints) + _FREEDOM if duration is None else min(int((duration - _TURN_S) / block), _MAX_SETS)
     shortest = (len(joints) + _MIN_FREEDOM) * block + _TURN_S
     if sets < len(joints) + _MIN_FREEDOM:
-        raise InputError(f"seconds: expected at least {shortest:g} s for {len(joints)} joints, got {seconds:g} s")
+        raise InputError(f"duration: expected at least {shortest:g} s for {len(joints)} joints, got {duration:g} s")
     highest = min(_MAX_FREQUENCY_HZ, _MAX_NYQUIST_SHARE * 0.5 / arm.dt)
     lines = odd_lines(highest, _PERIOD_S)
     spacing = _TURN_S / np.ceil(_TURN_S * _KNOTS_PER_PERIOD * highest)

@@ -138,8 +138,8 @@ def margins(
     A search by random steps then begins at the configuration with the least delay margin, and one at that with the largest Ms.
 
     Args:
-        configurations: How many there are: home and random ones, always the same, for which no default gains are designed; or the
-            configurations themselves, (k, n) rad, without a search.
+        configurations: How many there are: home and random ones, always the same, for which no default gains are designed; or
+            the configurations themselves, (k, n) rad, without a search.
         plants: The simulated plants; by default the one that does not differ from the model.
 
     Returns:

@@ -238,7 +238,7 @@ class Commands:
         planner = partial(move_path, self.arm, self._start, parts, blend=blend)
         return self._move_along(Target.read(last.target), planner, ends_at_target=ends_at_target, **options)
 
-    def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
+    def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, duration: float = 10.0) -> Log:
         """Follows a moving target: reads it 50 times per second, and respects all joint limits.
 
         If the target is out of reach, the tip moves to the closest point.
@@ -246,7 +246,7 @@ class Commands:
         Args:
             target: The name of a body of the model, whose position is followed; or a function of the time since the start, s,
                 that returns T_world_tip or (3,) m.
-            seconds: How long, s, at least a tick.
+            duration: How long, s, at least a tick.
 
         Returns:
             Every tick of it. `log.target` is the target at the end, which `Report` compares with the tip.
@@ -256,7 +256,7 @@ class Commands:
             UnknownNameError: The model has no such body.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
-        return follow(self._arms, self.arm, target, number("seconds", seconds, self._arms.drive.dt), self._refusal)
+        return follow(self._arms, self.arm, target, number("duration", duration, self._arms.drive.dt), self._refusal)
 
     def streaming(self) -> StreamRun:
         """Opens a stream of targets, from a policy or a device, for a `with`.

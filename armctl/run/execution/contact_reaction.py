@@ -33,23 +33,23 @@ class ContactReaction:
     Attributes:
         force: The observer.
         reaction: "stop", "retreat" or "float".
-        seconds: s, how far back along the path a retreat goes, or how long the arm floats.
+        duration: s, how far back along the path a retreat goes, or how long the arm floats.
         contact: What was felt in the last motion; empty if nothing was.
         time: s of simulated time, or since the robot was connected, when it was felt; NaN if nothing was.
     """
 
-    def __init__(self, arm: Arm, force: ExternalForce | None = None, reaction: str = "stop", seconds: float = 0.3):
+    def __init__(self, arm: Arm, force: ExternalForce | None = None, reaction: str = "stop", duration: float = 0.3):
         """A reaction to contacts.
 
         Args:
             force: An observer; one with default thresholds if left out.
             reaction: "stop", "retreat" or "float".
-            seconds: As the attribute.
+            duration: As the attribute.
         """
         self.force = ExternalForce(arm) if force is None else force
         instance("force", self.force, ExternalForce, "armctl.ExternalForce(arm) is one")
         self.reaction = choice("reaction", reaction, REACTIONS)
-        self.seconds = number("seconds", seconds, 0.0, 3600.0)
+        self.duration = number("duration", duration, 0.0, 3600.0)
         self._arm = arm
         self.reset()
 
@@ -91,7 +91,7 @@ class ContactReaction:
             passed: s of it, until it was.
             start: (n,) rad, where it stopped.
         """
-        goal = trajectory(max(passed - self.seconds, 0.0)).q
+        goal = trajectory(max(passed - self.duration, 0.0)).q
         if self.reaction != "retreat" or np.abs(goal - start).max() < _SHORTEST_RETREAT:
             return None
         return move_j(arm, arm.limits.clamp(start), goal)
@@ -145,8 +145,8 @@ class ContactReaction:
         if back is not None:
             ticks = int(np.ceil(back.duration / dt)) + 1
             run(controller, TickReference.of(back, dt, ticks, state.continuous), recorder)
-        if self.reaction == "float" and self.seconds > 0.0:
-            nothing = np.full((max(1, round(self.seconds / dt)), self._arm.n), np.nan)
+        if self.reaction == "float" and self.duration > 0.0:
+            nothing = np.full((max(1, round(self.duration / dt)), self._arm.n), np.nan)
             run(HandGuiding(self._arm), TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
         return self.felt
 

@@ -66,11 +66,11 @@ class StreamRun:
         self._durations[self._tip] = self.stream.t
         self._recording.__exit__(*exception)
 
-    def advance(self, seconds: float) -> str:
+    def advance(self, duration: float) -> str:
         """Lets the arm go on along its motion. A robot leaves some time for the next targets.
 
         Args:
-            seconds: How long, s; what is left of a tick counts the next time.
+            duration: How long, s; what is left of a tick counts the next time.
 
         Returns:
             Why the run ended; empty if it goes on.
@@ -82,7 +82,7 @@ class StreamRun:
         if self._recorder is None:
             raise InputError("advance: nothing runs yet; use `with sim.streaming() as run:`")
         dt = self._drive.dt
-        self._due += number("seconds", seconds, 0.0)
+        self._due += number("duration", duration, 0.0)
         ticks = ticks_for(max(self._due - self.stream.t, 0.0) + dt / 2, dt) - 2
         if ticks > 0:
             to_rest = self.stream.pieces
@@ -98,18 +98,18 @@ class StreamRun:
 
 
 def follow(
-    arms: ControlledArms, arm: Arm, target: MovingTarget, seconds: float, refusal: Callable[[Pieces], str] | None = None
+    arms: ControlledArms, arm: Arm, target: MovingTarget, duration: float, refusal: Callable[[Pieces], str] | None = None
 ) -> Log:
     """Follows a body, or a function of the time, and reads it 50 times a second. Arguments as for `Simulation.follow`."""
     drive = arms.drive
     data = drive.data
     target_at = _target_function(drive.model, data, target)
-    ticks_for(seconds, drive.dt)
+    ticks_for(duration, drive.dt)
     begin = data.time
     interval = max(_FOLLOW_INTERVAL_S, drive.dt)
     targets: dict[str, Array] = {}
     with StreamRun(arms, arm, refusal, targets) as run:
-        while not drive.failure and data.time - begin < seconds - 1e-9:
+        while not drive.failure and data.time - begin < duration - 1e-9:
             goal = Target.read(target_at(data.time - begin))
             targets[arm.tip] = goal.numbers
             run.stream.push_pose(run.stream.t, goal)

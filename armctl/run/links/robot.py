@@ -188,11 +188,11 @@ class Robot(Commands):
         self._drive.observer = viewer.drawing_of_robot(self.link.name).show
         return viewer
 
-    def check(self, seconds: float = 10.0) -> LinkCheck:
+    def check(self, duration: float = 10.0) -> LinkCheck:
         """Holds the position for a while, and measures how regularly rows are sent.
 
         Args:
-            seconds: s.
+            duration: s, how long the link is watched.
 
         Returns:
             The check: ok if no more than one tick in a hundred was lost.
@@ -201,11 +201,11 @@ class Robot(Commands):
             InputError: The time is less than a tick or more than an hour.
             LinkError: The robot reported a fault before.
         """
-        seconds = number("seconds", seconds, self.dt, 3600.0)
+        duration = number("duration", duration, self.dt, 3600.0)
         T_base_tip = self._host.tip()
         difference = np.nan if T_base_tip is None else tip_difference(self.arm, self._host.read().q, T_base_tip)
         lost = self._drive.lost
-        times = self._drive.hold(seconds)
+        times = self._drive.hold(duration)
         return link_check_of(self._drive, difference, times, self._drive.lost - lost)
 
     def close(self) -> None:
@@ -251,7 +251,7 @@ class Robot(Commands):
             )
         return self._rehearsed(super().run(trajectory, dwell))
 
-    def follow(self, target: MovingTarget = TARGET, *, seconds: float = 10.0) -> Log:
+    def follow(self, target: MovingTarget = TARGET, *, duration: float = 10.0) -> Log:
         """Follows a moving target, as that of a Simulation; every motion to a goal is proved and checked before it is sent.
 
         Where no such motion leads to a goal, the arm goes as far towards it as one does. If the targets stop coming, the arm
@@ -260,7 +260,7 @@ class Robot(Commands):
 
         Args:
             target: As for `Simulation.follow`. A body of the model stays where the model has it.
-            seconds: How long, s. The arm then comes to rest at the last goal.
+            duration: How long, s. The arm then comes to rest at the last goal.
 
         Returns:
             What was sent and measured. `log.failure` gives the reason if it ended early.
@@ -270,7 +270,7 @@ class Robot(Commands):
             UnknownNameError: The model has no such body.
             LinkError: The robot reported a fault before.
         """
-        return self._rehearsed(super().follow(target, seconds=seconds))
+        return self._rehearsed(super().follow(target, duration=duration))
 
     def _refusal(self, pieces: Pieces) -> str:
         """Why a motion of `follow` may not be sent; empty if it may."""

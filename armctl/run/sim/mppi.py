@@ -188,12 +188,12 @@ class MPPI:
         self.plans += 1
         return self._next_motion()
 
-    def run(self, until: Callable[[Simulation], bool], seconds: float) -> bool:
+    def run(self, until: Callable[[Simulation], bool], timeout: float) -> bool:
         """Plans and moves.
 
         Args:
             until: Whether to stop; asked before each plan.
-            seconds: s of simulated time, after which it stops.
+            timeout: s of simulated time, after which it stops.
 
         Returns:
             The last answer of `until`.
@@ -202,7 +202,7 @@ class MPPI:
             SimulationError: The arm diverged, or the controller failed.
         """
         ticks = max(1, round(self._interval / self.simulation.dt))
-        for _ in range(int(np.ceil(number("seconds", seconds, 0.0) / self._interval))):
+        for _ in range(int(np.ceil(number("timeout", timeout, 0.0) / self._interval))):
             if until(self.simulation):
                 return True
             motion = self.plan()
@@ -311,7 +311,7 @@ class PushResult(Verdict):
         reason: Why not; empty if it is.
         position_error: m.
         angle_error: rad.
-        seconds: s of simulated time.
+        duration: s of simulated time.
         plans: How many plans were made.
     """
 
@@ -319,7 +319,7 @@ class PushResult(Verdict):
     reason: str
     position_error: float
     angle_error: float
-    seconds: float
+    duration: float
     plans: int
 
 
@@ -330,7 +330,7 @@ def push(
     *,
     tolerance: float = 0.01,
     angle_tolerance: float = 0.1,
-    seconds: float = 60.0,
+    timeout: float = 60.0,
     **options: Unpack[MPPIOptions],
 ) -> PushResult:
     """Pushes a loose object on a horizontal surface to a pose, with the tip at the height where it is.
@@ -341,7 +341,7 @@ def push(
         goal: Where it should be.
         tolerance: m.
         angle_tolerance: rad.
-        seconds: s of simulated time, after which it stops.
+        timeout: s of simulated time, after which it stops.
         **options: Those of `MPPI`.
 
     Returns:
@@ -363,14 +363,14 @@ def push(
 
     mppi = MPPI(simulation, cost, **options)
     began = simulation.state.t
-    is_there = mppi.run(lambda _: bool((errors() < _SHARE_OF_TOLERANCE * most).all()), seconds)
+    is_there = mppi.run(lambda _: bool((errors() < _SHARE_OF_TOLERANCE * most).all()), timeout)
     gap, angle = errors().tolist()
     return PushResult(
         ok=is_there,
-        reason="" if is_there else f"{body} is {1e3 * gap:.1f} mm and {angle:.2f} rad from its goal after {seconds:g} s",
+        reason="" if is_there else f"{body} is {1e3 * gap:.1f} mm and {angle:.2f} rad from its goal after {timeout:g} s",
         position_error=gap,
         angle_error=angle,
-        seconds=simulation.state.t - began,
+        duration=simulation.state.t - began,
         plans=mppi.plans,
     )
 

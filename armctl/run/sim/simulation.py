@@ -151,12 +151,12 @@ class Simulation(Commands):
         """
         return self._arms.step(None if torque is None else vector("torque", torque, self.arm.n))
 
-    def apply_ctrl(self, ctrl: ArrayLike, seconds: float) -> Log:
+    def apply_ctrl(self, ctrl: ArrayLike, duration: float) -> Log:
         """Holds the arm's motors at constant controls, without a controller.
 
         Args:
             ctrl: (n,) controls, in the units of the model's motors: torque = gear x ctrl.
-            seconds: How long, s.
+            duration: How long, s.
 
         Returns:
             Every tick of it; its references are NaN.
@@ -172,9 +172,9 @@ class Simulation(Commands):
             i = int(outside.argmax())
             raise LimitError(f"ctrl: {arm.joint_names[i]}: {checked[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
         constant = ConstantTorque(checked * arm.gear)
-        seconds = number("seconds", seconds, 0.0)
-        nothing = np.full((ticks_for(seconds, self.dt), self.arm.n), np.nan)
-        with self._arms.recording({self.arm.tip: seconds}, controller=constant) as recorder:
+        duration = number("duration", duration, 0.0)
+        nothing = np.full((ticks_for(duration, self.dt), self.arm.n), np.nan)
+        with self._arms.recording({self.arm.tip: duration}, controller=constant) as recorder:
             self._stepper.run(constant, TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
         return self._arms.logs[self.arm.tip]
 

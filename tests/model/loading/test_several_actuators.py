@@ -107,7 +107,7 @@ def test_the_torques_of_several_actuators_add(form: str, order: int):
             arms.append(armctl.load(model))
     for each in arms:
         simulation = armctl.Simulation(each)
-        log = simulation.apply_ctrl([0.0, expected / each.gear[1]], seconds=each.dt)
+        log = simulation.apply_ctrl([0.0, expected / each.gear[1]], duration=each.dt)
         assert log.tau[0] == pytest.approx([0.0, expected])
         assert simulation.data.qfrc_actuator[1] == pytest.approx(expected)
 

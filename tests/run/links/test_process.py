@@ -105,7 +105,7 @@ def test_the_program_runs_through_the_process_and_a_busy_planner_changes_nothing
         assert result, result.reason
         assert result.position_error < 1e-3
         center = robot.tip.position
-        log = robot.follow(lambda t: center + 0.02 * np.sin([0.0, 2 * t, t]), seconds=0.6)
+        log = robot.follow(lambda t: center + 0.02 * np.sin([0.0, 2 * t, t]), duration=0.6)
         assert log.failure == "" or "no word" in log.failure  # on a busy machine
         with pytest.raises(armctl.ModelError, match="gripper"):
             robot.gripper.open()
@@ -124,7 +124,7 @@ def test_a_late_planner_leaves_the_arm_at_rest_and_it_goes_on_or_says_why():
                 time.sleep(1.0)
             return center + 0.05 * np.sin([0.0, 2 * t, t])
 
-        log = robot.follow(late, seconds=1.0)
+        log = robot.follow(late, duration=1.0)
         assert robot.late_ticks > 0 or "no word for 0.5 s" in log.failure
         assert np.ptp(log.q_ref[-2:], axis=0).max() < 1e-4
         assert robot.fault == ""
@@ -153,7 +153,7 @@ def test_what_the_maker_raises_in_the_process_is_one_sentence():
 def test_the_command_line_checks_a_robot(capsys):
     from armctl.cli.main import main
 
-    status = main(["robot", "check", "here", "--link", "plant", "--seconds", "0.3"])
+    status = main(["robot", "check", "here", "--link", "plant", "--duration", "0.3"])
     said = capsys.readouterr().out
     assert "tip of the model 0.000 mm from that of the robot" in said
     assert "ticks lost" in said

@@ -250,7 +250,7 @@ def test_follow_ends_at_rest_when_targets_stop_coming(seed: int, until: float):
         return center + 0.05 * np.array([0.0, math.sin(3 * t + phase), math.cos(3 * t)])
 
     with pytest.raises(armctl.InputError, match="no more targets"):
-        robot.follow(target, seconds=3.0)
+        robot.follow(target, duration=3.0)
     assert_within_limits_and_at_rest(robot, rows)
     assert robot.log.failure.startswith("interrupted at")
     assert robot.move_j([0.1, 0.1, -1.4])
@@ -260,7 +260,7 @@ def test_follow_follows_and_comes_to_rest_at_the_last_goal():
     robot = robot_of()
     rows = sent_to(robot)
     center = robot.tip.position
-    log = robot.follow(lambda t: center + 0.04 * np.array([0.0, math.sin(2 * t), math.cos(2 * t) - 1.0]), seconds=2.0)
+    log = robot.follow(lambda t: center + 0.04 * np.array([0.0, math.sin(2 * t), math.cos(2 * t) - 1.0]), duration=2.0)
     assert log.failure == ""
     assert np.linalg.norm(log.tip[-1] - log.target[:3]) < 0.01
     robot.close()
@@ -273,7 +273,7 @@ def test_follow_goes_on_after_motions_that_came_too_late(lost: dict[int, int]):
     robot = robot_of(lost=lost)
     rows = sent_to(robot)
     center = robot.tip.position
-    log = robot.follow(lambda t: center + 0.04 * np.array([0.0, math.sin(2 * t), math.cos(2 * t) - 1.0]), seconds=2.5)
+    log = robot.follow(lambda t: center + 0.04 * np.array([0.0, math.sin(2 * t), math.cos(2 * t) - 1.0]), duration=2.5)
     assert robot.late_ticks > 0
     assert log.failure == ""
     assert log.t[-1] - log.t[0] > 2.4
@@ -285,7 +285,7 @@ def test_follow_goes_on_after_motions_that_came_too_late(lost: dict[int, int]):
 
 def test_follow_sends_no_motion_that_touches():
     robot = robot_of()
-    log = robot.follow(lambda t: [0.2, 0.0, -0.3], seconds=1.0)
+    log = robot.follow(lambda t: [0.2, 0.0, -0.3], duration=1.0)
     assert log.contacts == ()
     assert np.linalg.norm(log.tip[-1] - log.target[:3]) > 0.01
 

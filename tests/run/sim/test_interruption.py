@@ -35,7 +35,7 @@ COMMANDS = {
     "move_j": lambda sim: sim.move_j(GOAL),
     "move_to": lambda sim: sim.move_to([0.4, -0.1, 0.3]),
     "move_l": lambda sim: sim.move_l(sim.tip.position + np.array([0.0, 0.1, 0.0])),
-    "follow": lambda sim: sim.follow(lambda t: [0.4, 0.1 * t, 0.3], seconds=1.0),
+    "follow": lambda sim: sim.follow(lambda t: [0.4, 0.1 * t, 0.3], duration=1.0),
     "step": lambda sim: [sim.step() for _ in range(100)],
 }
 
@@ -174,8 +174,8 @@ def test_a_motion_of_another_arm_is_rejected_and_the_simulation_stays_usable(bun
     [
         (lambda sim: sim.follow(5), "target: 5 is neither the name of a body nor a function of the time"),
         (lambda sim: sim.follow(lambda t: [1, 2]), "target: expected 3 numbers, got 2"),
-        (lambda sim: sim.follow(seconds=-1), "seconds: expected .*got -1"),
-        (lambda sim: sim.follow(seconds=1e12), "at most 10,000,000 fit into a log"),
+        (lambda sim: sim.follow(duration=-1), "duration: expected .*got -1"),
+        (lambda sim: sim.follow(duration=1e12), "at most 10,000,000 fit into a log"),
         (lambda sim: sim.run(armctl.move_j(sim.arm, sim.arm.home, GOAL), dwell=1e9), "at most 10,000,000 fit into a log"),
         (lambda sim: sim.run(armctl.move_j(sim.arm, sim.arm.home, GOAL), dwell="1"), "dwell: '1' is not a number"),
         (lambda sim: sim.move_to([9, 9, 9], speed=0), "speed: expected .*got 0"),

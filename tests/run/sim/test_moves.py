@@ -85,7 +85,7 @@ def test_it_follows_a_point_that_moves(sim):
     def circling(t: float) -> np.ndarray:
         return start + 0.05 * np.array([0.0, np.sin(2 * t), 1 - np.cos(2 * t)])
 
-    log = sim.follow(circling, seconds=3.0)
+    log = sim.follow(circling, duration=3.0)
     wanted = np.array([circling(t) for t in log.t])
     off = np.linalg.norm(log.tip[:, :3] - wanted, axis=1)
     assert off[500:].max() < 3e-4
@@ -103,7 +103,7 @@ def test_a_stream_moves_the_arm_tick_by_tick_and_leaves_a_log(sim):
             run.stream.push_chunk(times, home + 0.1 * np.sin(2.0 * times)[:, None])
             assert run.advance(frame) == ""
             assert run.stream.t == pytest.approx((k + 1) * frame, abs=0.51 * sim.dt)
-        with pytest.raises(armctl.InputError, match="seconds: "):
+        with pytest.raises(armctl.InputError, match="duration: "):
             run.advance(-1.0)
     log = sim.log
     assert sim.data.time - begin == pytest.approx(2.0, abs=sim.dt)
@@ -122,7 +122,7 @@ def test_a_stream_moves_the_arm_tick_by_tick_and_leaves_a_log(sim):
 def test_it_follows_the_target_wherever_it_is_put(sim):
     body = sim.model.body("target").mocapid[0]
     sim.data.mocap_pos[body] = sim.tip.position + np.array([0.05, 0.1, -0.1])
-    sim.follow("target", seconds=2.0)
+    sim.follow("target", duration=2.0)
     assert np.linalg.norm(sim.tip.position - sim.target) < 1e-4
     with pytest.raises(armctl.UnknownNameError, match="unknown body 'tarket'; did you mean 'target'"):
         sim.follow("tarket")

@@ -76,7 +76,7 @@ def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(arm):
     for threads, seed in ((1, 2), (3, 2), (1, 3)):
         simulation = beside(arm, at(y=-0.06))
         goal = armctl.Pose(BOX + at(y=0.2))
-        armctl.push(simulation, "box", goal, seconds=0.6, samples=12, seed=seed, threads=threads)
+        armctl.push(simulation, "box", goal, timeout=0.6, samples=12, seed=seed, threads=threads)
         logs.append(simulation.log)
     np.testing.assert_array_equal(logs[0].q, logs[1].q)
     assert (logs[0].q != logs[2].q).any()
@@ -86,7 +86,7 @@ def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(arm):
 def test_it_pushes_a_box_to_a_pose(arm):
     goal = armctl.Pose(BOX + at(0.02, 0.07), rpy=[0.0, 0.0, 0.1])
     simulation = beside(arm, at(-0.02, -0.08))
-    result = armctl.push(simulation, "box", goal, seconds=15.0, seed=1)
+    result = armctl.push(simulation, "box", goal, timeout=15.0, seed=1)
     assert result, result.reason
     place = simulation.data.body("box")
     assert np.linalg.norm(place.xpos - goal.position) == pytest.approx(result.position_error)
@@ -95,12 +95,12 @@ def test_it_pushes_a_box_to_a_pose(arm):
         result.angle_error, abs=1e-6
     )
     assert result.angle_error < 0.1
-    assert result.plans * 0.1 == pytest.approx(result.seconds, abs=0.01)
+    assert result.plans * 0.1 == pytest.approx(result.duration, abs=0.01)
     assert arm.limits.contains(simulation.log.q, tolerance=1e-6)
 
 
 def test_what_was_not_reached_is_reported(arm):
-    result = armctl.push(beside(arm, at(y=-0.1)), "box", armctl.Pose(BOX + at(y=0.2)), seconds=0.2)
+    result = armctl.push(beside(arm, at(y=-0.1)), "box", armctl.Pose(BOX + at(y=0.2)), timeout=0.2)
     assert not result
     assert result.reason == "box is 200.0 mm and 0.00 rad from its goal after 0.2 s"
     assert result.plans == 2

@@ -298,7 +298,7 @@ def test_a_payload_is_felt(arm: Arm):
         (lambda sim: sim.move_to([0.3, 0.2, 0.3], keep="z", avoid=False), "keep: an axis keeps its direction only with avoid"),
         (lambda sim: sim.apply_ctrl([1, 2], 1), "ctrl: expected 3 numbers, got 2"),
         (lambda sim: sim.apply_ctrl([1, 2, 9], 1), r"ctrl: elbow: 9 is outside \[-5, 5\]"),
-        (lambda sim: sim.apply_ctrl([1, 2, 3], -1), "seconds: expected .*got -1"),
+        (lambda sim: sim.apply_ctrl([1, 2, 3], -1), "duration: expected .*got -1"),
         (lambda sim: sim.reset([1, 2]), "q: expected 3 numbers, got 2"),
         (lambda sim: Simulation(sim.arm, "pdd"), "unknown controller 'pdd'; did you mean 'pd'?"),
         (lambda sim: Simulation(sim.arm, 3), "controller: 3 has no method torque"),
@@ -393,7 +393,7 @@ def test_speed_is_the_same_motion_slowed(bundled: Arm, speed: float):
 
 
 def test_a_report_after_follow_measures_against_the_target(bundled: Arm):
-    near, far = (Simulation(bundled).follow(lambda t, x=x: [x, 0.1, 0.3], seconds=2.0) for x in (0.4, 0.9))
+    near, far = (Simulation(bundled).follow(lambda t, x=x: [x, 0.1, 0.3], duration=2.0) for x in (0.4, 0.9))
     assert np.allclose(near.target[:3], [0.4, 0.1, 0.3])
     assert armctl.Report.from_log(near).ok
     report = armctl.Report.from_log(far)
