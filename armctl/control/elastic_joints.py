@@ -60,8 +60,8 @@ class ElasticFeedforward(PD):
         Args:
             elasticity: N m/rad, stiffness of the springs between motors and links; a number for all joints or (n,).
             rotor_inertia: kg m^2 of the motors, at the joints; the model's armature if left out.
-            stiffness: As for `PD`.
-            damping: As for `PD`.
+            stiffness: N m/rad (N/m for a slide joint), for all joints or (n,); by default from the arm's margins.
+            damping: N m s/rad (N s/m), for all joints or (n,); by default from the arm's margins.
             friction: Whether the model's dry friction is compensated: it turns with the sign of the motors' reference speed.
 
         Raises:
@@ -142,13 +142,13 @@ class ElasticFeedback(ElasticFeedforward):
         """A controller at the start of a run.
 
         Args:
-            elasticity: As for `ElasticFeedforward`.
-            rotor_inertia: As for `ElasticFeedforward`.
+            elasticity: N m/rad, stiffness of the springs between motors and links; a number for all joints or (n,).
+            rotor_inertia: kg m^2 of the motors, at the joints; the model's armature if left out.
             damping_ratio: In [0, 1], added to vibrations of the links; reached where the motors are much faster than these.
             link_bandwidth: rad/s, in [0, 100], of the integral of the links' error, which removes what payloads, friction and
                 wrong springs leave; well below the resonances.
-            stiffness: As for `PD`, of the motors.
-            damping: As for `PD`, of the motors.
+            stiffness: N m/rad (N/m for a slide joint) of the motors, for all joints or (n,); by default from the margins.
+            damping: N m s/rad (N s/m) of the motors, for all joints or (n,); by default from the margins.
             friction: Whether the model's dry friction is compensated.
 
         Raises:

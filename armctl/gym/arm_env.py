@@ -42,8 +42,9 @@ class ArmEnv(gymnasium.Env):
 
         Args:
             robot: An arm, or what `armctl.load` takes.
-            task: As for `ArmVectorEnv`.
-            action: As for `ArmVectorEnv`.
+            task: "Reach", "ReachPast", "Track", "Push" or "PickPlace".
+            action: "torque", "joint_delta", "joint_target", "cartesian_delta" or "cartesian_pose"; "joint_delta_smooth" and
+                "cartesian_delta_smooth" also keep the jerk limits.
             render_mode: "rgb_array" for pictures, "human" for the viewer's page.
             width: Pixels of a picture.
             height: Pixels of a picture.

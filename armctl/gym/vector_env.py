@@ -99,14 +99,15 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
 
         Args:
             seed: That of the first environment, the others follow; or one for each; None goes on with the old ones.
-            options: As for `ArmEnv.reset`, for all environments, or a row for each. Episodes that begin after these are drawn.
+            options: "goal" and "start" of the episodes, for all environments, or one for each. Episodes that begin after these
+                are drawn.
 
         Returns:
             The observations, and an empty dictionary.
 
         Raises:
             InputError: There are not as many seeds as environments, or one of them is not an integer of at least 0, or an
-                option is wrong, as for `ArmEnv.reset`.
+                option is unknown, of a wrong shape, or out of its bounds.
         """
         seeds: Sequence[int | None]
         if seed is None or isinstance(seed, (int, np.integer)):

@@ -85,12 +85,12 @@ def diagnose(
     """Examines a robot's file: what is missing, impossible or assumed, and what to write.
 
     Args:
-        robot: As for `load`.
-        tip: As for `load`.
-        base: As for `load`.
-        hold_base: As for `load`.
-        srdf: As for `load`.
-        shapes: As for `load`.
+        robot: A name, the path of a file, an MjSpec or an MjModel.
+        tip: The site, body or geom at the end of the arm; left out, armctl finds it.
+        base: The body at the start of the chain: joints above it are held. Left out, the chain starts at the world.
+        hold_base: Whether to hold a robot that floats or walks where its keyframe puts it.
+        srdf: The path of an SRDF. Left out, armctl uses the one beside a URDF.
+        shapes: "capsules" or "visual": the collision shape of links that need one and have none; left out, they get none.
 
     Returns:
         The findings. A file that does not load is a finding, too.

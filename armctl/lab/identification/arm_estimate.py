@@ -157,7 +157,7 @@ class ArmEstimate(IdentifiedArm):
             N m, in the same shape.
 
         Raises:
-            InputError: A wrong shape, a number that is not finite, or as for `applied_to`.
+            InputError: A wrong shape, a number that is not finite, or nothing was identified.
         """
         shapes = [as_array(name, value).shape for name, value in zip("qva", (q, v, a), strict=True)]
         shape = shapes[0]

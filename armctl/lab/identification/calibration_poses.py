@@ -70,9 +70,10 @@ def calibration_poses(
 
     Args:
         count: The number K of poses.
-        sensor: As for `calibrate_geometry`.
+        sensor: "world" if the tip is measured in the world of the model, "fixed" for a sensor beside the arm, "hand" for a
+            camera on the last link.
         positions_only: Whether positions are measured, without orientations.
-        parameters: As for `calibrate_geometry`.
+        parameters: Kinds ("offsets", "lengths") or single names of what `calibrate_geometry` will fit; by default all.
         clearance: m to keep from everything.
         visible: A function that tells whether the sensor can measure the tip at a pose T_world_tip. By default it always can.
         start: (n,) rad, the configuration from which each pose is reached on a straight line in joint space; home by default.

@@ -66,7 +66,7 @@ class IdentifiedArm(Verdict):
             source: The name or file that the arm was loaded from; the name of the arm if left out.
 
         Raises:
-            InputError: As for `applied_to`, or the source is not that of the arm.
+            InputError: Nothing was identified, a link is not physically consistent, or the source is not that of the arm.
             UnknownNameError: There is no robot of the name of the arm; give `source`.
             ArmctlError: The file cannot be written.
         """
@@ -86,7 +86,7 @@ class IdentifiedArm(Verdict):
             path: The .urdf file; it is written atomically, and its folder is made.
 
         Raises:
-            InputError: As for `applied_to`.
+            InputError: Nothing was identified, or a link is not physically consistent.
             ArmctlError: The file cannot be written.
         """
         path = file_path("path", path, (".urdf",))

@@ -97,7 +97,7 @@ class Study(StudyPlan):
 
     Attributes:
         name: Names the study and its files; part of the seeds.
-        robot: The robot as for `load`, or a dict of the arguments of `load`.
+        robot: The name or file of the robot, or a dict of the arguments of `load`.
         controllers: Names of controllers, or a dict: label to a name, or to a dict of "controller" and its arguments. A name
             such as "module:Class" is a class that is called with the arm; workers must be able to import it.
         motion: "out-and-back", all joints at once from home and back; "reach", from home to the factor "target"; the .npz file

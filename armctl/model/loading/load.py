@@ -205,25 +205,26 @@ def load_arms(
     """Several chains of one robot that move at the same time: two arms, four legs, five fingers.
 
     Args:
-        robot: As for `load`.
+        robot: A name, the path of a file, an MjSpec or an MjModel.
         tips: The site, body or geom at the end of each chain.
         base: The body at the start of all chains, or one for each: joints above it are held. Left out (None), they start at
             the world.
-        hold_base: As for `load`.
-        scene: As for `load`.
-        srdf: As for `load`.
-        shapes: As for `load`.
+        hold_base: Whether to hold a robot that floats or walks where its keyframe puts it.
+        scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
+        srdf: The path of an SRDF. Left out, armctl uses the one beside a URDF.
+        shapes: "capsules" or "visual": the collision shape of links that need one and have none; left out, they get none.
 
     Returns:
         An arm for each tip; all share one model, in which all of them have torque motors.
 
     Raises:
-        InputError: As for `load`; or the bases are not as many as the tips.
-        UnknownNameError: As for `load`.
-        ModelError: As for `load`; or two chains share a joint, or one is mounted on another.
+        InputError: An argument has a wrong type, the bases are not as many as the tips, or the names of the scene are taken.
+        UnknownNameError: No robot, or nothing in the model, has that name.
+        ModelError: The file cannot be read, is no arm, or could not be downloaded; or two chains share a joint, or one is
+            mounted on another.
 
     Warns:
-        ArmctlWarning: As for `load`.
+        ArmctlWarning: The model leaves out something that had to be assumed; a `MissingShapeWarning` if links have no shape.
     """
     if isinstance(tips, str) or not isinstance(tips, Sequence) or not tips:
         raise InputError(f"tips: {shown(tips)} is not a list of names, such as ['left/gripper', 'right/gripper']")
@@ -244,7 +245,7 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
     """Every serial chain of a robot: its arms, legs, fingers, heads. A free base is treated as fixed.
 
     Args:
-        robot: As for `load`.
+        robot: A name, the path of a file, an MjSpec or an MjModel.
 
     Returns:
         The chains that `load` accepts with their base and tip, longest first, then those it rejects, with the reason.

@@ -115,17 +115,17 @@ def move_c(
     """The fastest motion of the tip on an arc through one point to rest at another; its orientation rotates about one axis.
 
     Args:
-        q_start: As for `move_l`.
+        q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves; or the pose of the tip at the start.
         via: T_world_tip or (3,) m, an intermediate point; its orientation is ignored.
         target: T_world_tip, or (3,) m with the orientation left free.
         angle: rad, the angle on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.
-        **options: As for `move_l`.
+        **options: `speed`, `tip_speed` and `tip_angular_speed`, as in `PathOptions`.
 
     Raises:
-        InputError: As for `move_l`, or three points on one line.
-        LimitError: As for `move_l`.
-        PlanError: As for `move_l`.
+        InputError: An argument of the wrong shape, kind or value, or three points on one line.
+        LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
+        PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
     return _planned(arm, q_start, _Request("move_c", [Arc(via, target, angle)]), options)
 
@@ -144,15 +144,15 @@ def move_path(
     stops at a sharp corner where that is faster: a path with blends never takes longer than one without.
 
     Args:
-        q_start: As for `move_l`.
+        q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves; or the pose of the tip at the start.
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
-        **options: As for `move_l`.
+        **options: `speed`, `tip_speed` and `tip_angular_speed`, as in `PathOptions`.
 
     Raises:
-        InputError: As for `move_l`.
-        LimitError: As for `move_l`.
-        PlanError: As for `move_l`.
+        InputError: An argument of the wrong shape, kind or value.
+        LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
+        PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
     return _planned(arm, q_start, _Request("move_path", read_path(path), number("blend", blend, 0.0)), options)
 

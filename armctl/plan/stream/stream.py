@@ -241,11 +241,11 @@ class Stream:
         reaches it, such as behind a singular configuration, the arm keeps its posture and comes as near as it can.
 
         Args:
-            t: s, as for `push`.
+            t: s, in the stream's time; at most a minute ahead.
             target: T_world_tip, or (3,) m if any orientation is accepted; after `clutch`, in the frame of the device.
 
         Raises:
-            InputError: As for `push`.
+            InputError: A wrong shape, a number that is not finite, or a time more than a minute ahead; nothing changes.
             LimitError: The target is more than 10 m out of reach, as one in millimetres; nothing changes.
         """
         time = self._time("t", t)

@@ -157,16 +157,16 @@ class Commands:
 
         Args:
             q: (n,) rad, inside the limits.
-            speed: As for `move_to`.
-            avoid: As for `move_to`.
-            allow: As for `move_to`.
+            speed: Fraction of the full speed, in (0, 1].
+            avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight.
+            allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
             The result, measured at the tip.
 
         Raises:
             LimitError: A position outside the limits.
-            SimulationError: As for `move_to`.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         configuration = self.arm.checked("q", q)
         goal = Target.read(self.arm.fk(configuration))
@@ -184,7 +184,7 @@ class Commands:
         """Moves the tip to a target on a straight line.
 
         Args:
-            target: As for `move_to`.
+            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
             **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Returns:
@@ -192,7 +192,7 @@ class Commands:
             where.
 
         Raises:
-            SimulationError: As for `move_to`.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         goal = Target.read(target)
         end = goal.position if goal.pose is None else goal.pose
@@ -205,13 +205,13 @@ class Commands:
 
         Args:
             via: T_world_tip or (3,) m, a point on the arc.
-            target: As for `move_to`.
+            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
             angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
-            **options: As for `move_l`.
+            **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Raises:
-            InputError: As for `move_to`, or the points are on one line.
-            SimulationError: As for `move_to`.
+            InputError: An argument of a wrong shape or out of its bounds, or the points are on one line.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         goal = Target.read(target)
         end = goal.position if goal.pose is None else goal.pose
@@ -226,11 +226,11 @@ class Commands:
         Args:
             path: Lines and arcs; a pose or a point is a line to it.
             blend: m, the radius around each corner in which it is rounded.
-            **options: As for `move_l`.
+            **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Raises:
-            InputError: As for `move_to`, or the path is empty.
-            SimulationError: As for `move_to`.
+            InputError: An argument of a wrong shape or out of its bounds, or the path is empty.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         parts = read_path(path)
         last = parts[-1]
@@ -286,9 +286,9 @@ class Commands:
 
         Args:
             path: The video, .mp4 or .gif; its folder is made.
-            size: As for `armctl.record`.
-            quality: As for `armctl.record`.
-            speed: As for `armctl.record`.
+            size: Width and height in pixels, even, in [16, 8192].
+            quality: "fast", for software rendering, or "full", with shadows and smooth edges.
+            speed: Simulated time per film time, in [0.01, 100]: 1 is real time, 0.5 is slow motion.
 
         Raises:
             InputError: Nothing has run yet, or the path has another file extension.

@@ -44,7 +44,7 @@ class ContactReaction:
         Args:
             force: An observer; one with default thresholds if left out.
             reaction: "stop", "retreat" or "float".
-            duration: As the attribute.
+            duration: s, how far back along the path a retreat goes, or how long the arm floats.
         """
         self.force = ExternalForce(arm) if force is None else force
         instance("force", self.force, ExternalForce, "armctl.ExternalForce(arm) is one")

@@ -42,7 +42,7 @@ class StreamRun:
         """A run that begins where the arm's last reference ended.
 
         Args:
-            refusal: As for `Stream`.
+            refusal: Why a motion, given as polynomials from now on, may not be made; empty if it may.
             targets: (7,) of each arm, for the log; changes until the end of the run count. None for no targets.
         """
         instance("arms", arms, ControlledArms, "Simulation.streaming() makes a StreamRun of its arms")
@@ -100,7 +100,7 @@ class StreamRun:
 def follow(
     arms: ControlledArms, arm: Arm, target: MovingTarget, duration: float, refusal: Callable[[Pieces], str] | None = None
 ) -> Log:
-    """Follows a body, or a function of the time, and reads it 50 times a second. Arguments as for `Simulation.follow`."""
+    """Follows a body, or a function of the time, for a duration, s, and reads it 50 times a second."""
     drive = arms.drive
     data = drive.data
     target_at = _target_function(drive.model, data, target)

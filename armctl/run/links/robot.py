@@ -259,14 +259,15 @@ class Robot(Commands):
         the one before, and goes on from there; `late_ticks` counts by how much.
 
         Args:
-            target: As for `Simulation.follow`. A body of the model stays where the model has it.
+            target: A function of the time since the start, s, that returns T_world_tip or (3,) m; or the name of a body, which
+                stays where the model has it.
             duration: How long, s. The arm then comes to rest at the last goal.
 
         Returns:
             What was sent and measured. `log.failure` gives the reason if it ended early.
 
         Raises:
-            InputError: As for `Simulation.follow`.
+            InputError: A negative time, or a function that raises, or returns neither a pose nor three finite numbers.
             UnknownNameError: The model has no such body.
             LinkError: The robot reported a fault before.
         """

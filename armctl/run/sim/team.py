@@ -139,7 +139,7 @@ class Team:
         nor anything else. If there are no such motions, no arm moves, and every `reason` says why.
 
         Args:
-            targets: By tip, as for `Simulation.move_to`.
+            targets: By tip: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
             speed: Fraction of the full speed, in (0, 1].
             avoid: Whether to plan around all bodies at their current positions; otherwise each arm moves straight.
             allow: Pairs of names of bodies or geoms that may touch.
