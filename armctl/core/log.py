@@ -213,7 +213,7 @@ class Log:
                 everything = {f.name: getattr(self, f.name) for f in fields(self)}
                 arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
                 facts = {k: x for k, x in everything.items() if k not in arrays}
-                log_files.save(temporary, log_files.Content(arrays, facts))
+                log_files.save(temporary, log_files.LogContent(arrays, facts))
         return path
 
     @classmethod

@@ -41,7 +41,7 @@ REFERENCES = tuple(name for name in _PER_JOINT if name.endswith("_ref"))
 STATES = tuple(name for name in _PER_JOINT if name not in REFERENCES)
 
 
-class Column(NamedTuple):
+class LogColumn(NamedTuple):
     """One column of a flat table: the array of the log and the place in it, its name and its unit."""
 
     array: str
@@ -55,10 +55,10 @@ def widths(arrays: Mapping[str, Array]) -> dict[str, int]:
     return {name: arrays[name].shape[1] for name, each in QUANTITIES.items() if each.is_optional and len(arrays[name])}
 
 
-def columns(joint_names: Sequence[str], joint_units: Sequence[str], optional: Mapping[str, int]) -> list[Column]:
+def columns(joint_names: Sequence[str], joint_units: Sequence[str], optional: Mapping[str, int]) -> list[LogColumn]:
     """The columns of a flat table: "t", "q/joint1", ..., "tip/x", ..., "qpos/0"; `optional` as from `widths`."""
     torque_units = units.of_torque(joint_units)
-    out = [Column("t", 0, "t", "s")]
+    out = [LogColumn("t", 0, "t", "s")]
     for array, quantity in QUANTITIES.items():
         if quantity.is_optional and array not in optional:
             continue
@@ -69,11 +69,11 @@ def columns(joint_names: Sequence[str], joint_units: Sequence[str], optional: Ma
                 unit = unit.replace("joint", joint_units[i]).replace("torque", torque_units[i])
             elif unit == "wrench":
                 unit = "N" if axis.startswith("f") else "N m"
-            out.append(Column(array, i, f"{array}/{axis}", unit))
+            out.append(LogColumn(array, i, f"{array}/{axis}", unit))
     return out
 
 
-def flat(arrays: Mapping[str, Array], layout: Sequence[Column]) -> dict[str, Array]:
+def flat(arrays: Mapping[str, Array], layout: Sequence[LogColumn]) -> dict[str, Array]:
     """The arrays over time as vectors by the names of their columns."""
     out = {}
     for column in layout:

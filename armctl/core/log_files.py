@@ -14,7 +14,7 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.file_reading import check_size, pyarrow, read_npz, read_parquet
-from armctl.core.log_columns import QUANTITIES, Column, columns, flat, widths
+from armctl.core.log_columns import QUANTITIES, LogColumn, columns, flat, widths
 from armctl.core.validation import Array
 
 _CSV_MARK = "# armctl log "  # begins the first line of a CSV; the facts follow
@@ -22,37 +22,37 @@ _PARQUET_KEY = b"armctl log"
 _MAX_BYTES = 4_000_000_000  # unpacked: two hours of seven joints at 1 kHz
 
 
-class Content(NamedTuple):
+class LogContent(NamedTuple):
     """What a file of a log holds: its arrays, those over time with a row per tick, and everything else as it is in JSON."""
 
     arrays: dict[str, Array]
     facts: dict[str, Any]
 
 
-def save(path: Path, content: Content) -> None:
+def save(path: Path, content: LogContent) -> None:
     WRITERS[path.suffix](path, content)
 
 
-def load(path: Path) -> Content:
+def load(path: Path) -> LogContent:
     """Reads a file in the format of its file extension; what damaged bytes raise depends on the format."""
     if path.suffix not in _READERS:
         raise InputError(f"it ends in {path.suffix!r:.20}, expected one of {', '.join(_READERS)}")
     return _READERS[path.suffix](path)
 
 
-def _save_npz(path: Path, content: Content) -> None:
+def _save_npz(path: Path, content: LogContent) -> None:
     np.savez_compressed(path, allow_pickle=False, meta=np.array(json.dumps(content.facts)), **content.arrays)
 
 
-def _load_npz(path: Path) -> Content:
+def _load_npz(path: Path) -> LogContent:
     arrays = read_npz(path, _MAX_BYTES)
     facts = json.loads(str(arrays.pop("meta")))
     if not isinstance(facts, dict):
         raise InputError("its head is not a table")
-    return Content(arrays, facts)
+    return LogContent(arrays, facts)
 
 
-def _save_csv(path: Path, content: Content) -> None:
+def _save_csv(path: Path, content: LogContent) -> None:
     facts, layout = _tabular(content)
     table = np.column_stack(list(flat(content.arrays, layout).values()))
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -62,7 +62,7 @@ def _save_csv(path: Path, content: Content) -> None:
         writer.writerows(table.tolist())
 
 
-def _load_csv(path: Path) -> Content:
+def _load_csv(path: Path) -> LogContent:
     check_size(path.stat().st_size, _MAX_BYTES)
     with path.open(encoding="utf-8", newline="") as file:
         first = file.readline(_MAX_BYTES)
@@ -75,7 +75,7 @@ def _load_csv(path: Path) -> Content:
     return _untabular(facts, header, table.T)
 
 
-def _save_parquet(path: Path, content: Content) -> None:
+def _save_parquet(path: Path, content: LogContent) -> None:
     arrow, parquet = pyarrow()
     facts, layout = _tabular(content)
     fields = [arrow.field(column.name, arrow.float64(), metadata={"unit": column.unit}) for column in layout]
@@ -88,7 +88,7 @@ def _save_parquet(path: Path, content: Content) -> None:
     path.write_bytes(buffer.getvalue())  # Python reports a full disk in the usual words, pyarrow does not
 
 
-def _load_parquet(path: Path) -> Content:
+def _load_parquet(path: Path) -> LogContent:
     table = read_parquet(path, _MAX_BYTES)
     metadata = table.schema.metadata or {}
     if _PARQUET_KEY not in metadata:
@@ -96,7 +96,7 @@ def _load_parquet(path: Path) -> Content:
     return _untabular(json.loads(metadata[_PARQUET_KEY]), table.column_names, [each.to_numpy() for each in table.columns])
 
 
-def _tabular(content: Content) -> tuple[dict[str, Any], list[Column]]:
+def _tabular(content: LogContent) -> tuple[dict[str, Any], list[LogColumn]]:
     """The facts, with the arrays that are not over time among them, and the columns of the arrays over time."""
     arrays = content.arrays
     optional = widths(arrays)
@@ -105,7 +105,7 @@ def _tabular(content: Content) -> tuple[dict[str, Any], list[Column]]:
     return {**content.facts, "arrays": constant, "optional": optional}, layout
 
 
-def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) -> Content:
+def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) -> LogContent:
     if not isinstance(facts, dict) or not isinstance(facts.get("arrays"), dict):
         raise InputError("its head is not a table")
     constant = facts.pop("arrays")
@@ -123,8 +123,8 @@ def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) 
     stacked["t"] = stacked["t"][:, 0]
     for name in QUANTITIES.keys() - stacked.keys():
         stacked[name] = np.zeros((0, len(QUANTITIES[name].axes)))
-    return Content(stacked | {name: np.array(values, dtype=np.float64) for name, values in constant.items()}, facts)
+    return LogContent(stacked | {name: np.array(values, dtype=np.float64) for name, values in constant.items()}, facts)
 
 
-WRITERS: dict[str, Callable[[Path, Content], None]] = {".npz": _save_npz, ".parquet": _save_parquet, ".csv": _save_csv}
-_READERS: dict[str, Callable[[Path], Content]] = {".npz": _load_npz, ".parquet": _load_parquet, ".csv": _load_csv}
+WRITERS: dict[str, Callable[[Path, LogContent], None]] = {".npz": _save_npz, ".parquet": _save_parquet, ".csv": _save_csv}
+_READERS: dict[str, Callable[[Path], LogContent]] = {".npz": _load_npz, ".parquet": _load_parquet, ".csv": _load_csv}

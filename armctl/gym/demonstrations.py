@@ -58,7 +58,7 @@ class DemonstrationsResult(Verdict):
         return done if self.ok else f"{done}: {self.reason}"
 
 
-class _Recording:
+class _EpisodeRecording:
     """What happens in an episode."""
 
     def __init__(self) -> None:
@@ -156,12 +156,12 @@ def _record(env: ArmEnv, writer: LeRobotWriter, screen: Screen | None, episodes:
     return failures
 
 
-def _play(env: ArmEnv, policy: _Policy, screen: Screen | None, seed: int) -> _Recording | None:
+def _play(env: ArmEnv, policy: _Policy, screen: Screen | None, seed: int) -> _EpisodeRecording | None:
     """An episode; None if the policy does not solve it."""
     batch = env.batch
     held = 0
     held_at_end = max(1, int(batch.task.held_fraction * batch.horizon))
-    recording = _Recording()
+    recording = _EpisodeRecording()
     observation, _ = env.reset(seed=seed)
     truncated = False
     while not truncated:

@@ -226,7 +226,7 @@ def table(reports: Sequence[Report]) -> str:
     return report_table(reports).markdown()
 
 
-class Column(NamedTuple):
+class ReportColumn(NamedTuple):
     """A column of a table of reports: its title, its cells and, if a report can be the best in it, what is least then."""
 
     title: str
@@ -234,42 +234,42 @@ class Column(NamedTuple):
     rank: Callable[[Report], float] | None = None
 
 
-def report_columns(reports: Sequence[Report], *, with_plant: bool = True) -> list[Column]:
+def report_columns(reports: Sequence[Report], *, with_plant: bool = True) -> list[ReportColumn]:
     """The columns of `table`."""
     joint_units = list(dict.fromkeys(unit for r in reports for unit in r.log.units))
     mixed = len(joint_units) > 1
     joint = "" if mixed else f", {units.label(joint_units)}"
     torque = units.label(units.of_torque(joint_units))
-    columns = [Column("controller", lambda r: r.controller)]
+    columns = [ReportColumn("controller", lambda r: r.controller)]
     if with_plant:
-        columns.append(Column("plant", lambda r: r.plant))
+        columns.append(ReportColumn("plant", lambda r: r.plant))
     columns += [
-        Column(
+        ReportColumn(
             f"joint RMS{joint}",
             lambda r: _joint_error(r.joint_rms_rad, r.joint_rms_m, with_unit=mixed),
             lambda r: r.joint_rms_rad,
         ),
-        Column(
+        ReportColumn(
             f"joint max{joint}",
             lambda r: _joint_error(r.joint_max_rad, r.joint_max_m, with_unit=mixed),
             lambda r: r.joint_max_rad,
         ),
-        Column("tip RMS", lambda r: length_text(r.tip_rms_m), lambda r: r.tip_rms_m),
-        Column("tip max", lambda r: length_text(r.tip_max_m), lambda r: r.tip_max_m),
-        Column("final tip error", lambda r: length_text(r.final_tip_error_m), lambda r: r.final_tip_error_m),
-        Column("settled, s", lambda r: _margin_text(r.settling_time_s), lambda r: r.settling_time_s),
-        Column("peak torque", lambda r: f"{100 * r.peak_torque_ratio:.0f} %"),
-        Column(f"chatter, {torque}", lambda r: _chatter_text(r.chatter_nm)),
+        ReportColumn("tip RMS", lambda r: length_text(r.tip_rms_m), lambda r: r.tip_rms_m),
+        ReportColumn("tip max", lambda r: length_text(r.tip_max_m), lambda r: r.tip_max_m),
+        ReportColumn("final tip error", lambda r: length_text(r.final_tip_error_m), lambda r: r.final_tip_error_m),
+        ReportColumn("settled, s", lambda r: _margin_text(r.settling_time_s), lambda r: r.settling_time_s),
+        ReportColumn("peak torque", lambda r: f"{100 * r.peak_torque_ratio:.0f} %"),
+        ReportColumn(f"chatter, {torque}", lambda r: _chatter_text(r.chatter_nm)),
     ]
     if not all(math.isnan(r.peak_sensitivity) for r in reports):
         columns += [
-            Column("delay margin, ms", lambda r: _margin_text(1e3 * r.delay_margin_s), lambda r: -r.delay_margin_s),
-            Column("Ms", lambda r: _margin_text(r.peak_sensitivity), lambda r: r.peak_sensitivity),
-            Column("slowest pole, 1/s", lambda r: _margin_text(r.slowest_pole_per_s), lambda r: -r.slowest_pole_per_s),
+            ReportColumn("delay margin, ms", lambda r: _margin_text(1e3 * r.delay_margin_s), lambda r: -r.delay_margin_s),
+            ReportColumn("Ms", lambda r: _margin_text(r.peak_sensitivity), lambda r: r.peak_sensitivity),
+            ReportColumn("slowest pole, 1/s", lambda r: _margin_text(r.slowest_pole_per_s), lambda r: -r.slowest_pole_per_s),
         ]
         if any(r.damping_ratio < MIN_DAMPING_RATIO for r in reports):
-            columns.append(Column("least damping", lambda r: _margin_text(r.damping_ratio), lambda r: -r.damping_ratio))
-    columns.append(Column("verdict", lambda r: r.outcome + (", with contact" if r.contacts else "")))
+            columns.append(ReportColumn("least damping", lambda r: _margin_text(r.damping_ratio), lambda r: -r.damping_ratio))
+    columns.append(ReportColumn("verdict", lambda r: r.outcome + (", with contact" if r.contacts else "")))
     return columns
 
 

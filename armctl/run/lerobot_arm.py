@@ -109,7 +109,10 @@ class LeRobotArm:
         return self._run is not None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Begins a stream where the arm is. There is nothing to calibrate.
+        """Begins a stream where the arm is.
+
+        Args:
+            calibrate: As LeRobot's robots have it; there is nothing to calibrate.
 
         Raises:
             LinkError: It is connected already.

@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.plotting import COLORS
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import Array
-from armctl.view.realtime.history import DURATION_S, Samples
+from armctl.view.realtime.history import DURATION_S, HistorySamples
 
 if TYPE_CHECKING:
     import viser
@@ -28,7 +28,7 @@ _TORQUE_RANGE_PERCENT = (0.0, 115.0)
 class Charts:
     """Two charts over time: tip error with its tolerance, and the torque nearest to its limit."""
 
-    def __init__(self, server: viser.ViserServer, joint_names: tuple[str, ...], samples: Samples):
+    def __init__(self, server: viser.ViserServer, joint_names: tuple[str, ...], samples: HistorySamples):
         """Adds the charts at the end of the page's panel, with what has been sampled so far."""
         self._last_t = samples.t[-1]
         self._joint_names = joint_names
@@ -52,7 +52,7 @@ class Charts:
         )
         self._torque_legend = server.gui.add_html(_torque_legend(samples, joint_names))
 
-    def update(self, samples: Samples) -> None:
+    def update(self, samples: HistorySamples) -> None:
         if samples.t[-1] == self._last_t:
             return
         self._last_t = samples.t[-1]
@@ -80,7 +80,7 @@ def _bound(label: str) -> uplot.Series:
     return {**_line(label, _BOUND_COLOR), "width": 1.0}
 
 
-def _error_legend(samples: Samples) -> str:
+def _error_legend(samples: HistorySamples) -> str:
     return _legend(
         [
             (COLORS[2], "to the target", _millimeters(1e3 * samples.to_target[-1])),
@@ -90,7 +90,7 @@ def _error_legend(samples: Samples) -> str:
     )
 
 
-def _torque_legend(samples: Samples, joint_names: tuple[str, ...]) -> str:
+def _torque_legend(samples: HistorySamples, joint_names: tuple[str, ...]) -> str:
     shares = np.nan_to_num(100 * samples.torque_share[-1])
     return _legend([(_BOUND_COLOR, name, f"{round(shares[i])} %") for i, name in enumerate(joint_names)])
 
@@ -108,7 +108,7 @@ def _legend(entries: list[tuple[str, str, str]]) -> str:
     return f'<div style="font-size: 0.8em; line-height: 1.5; padding: 0 0.8em; color: #212529">{" ".join(rows)}</div>'
 
 
-def _errors(samples: Samples) -> tuple[Array, ...]:
+def _errors(samples: HistorySamples) -> tuple[Array, ...]:
     rows = _shown_rows(samples)
     age = samples.t[rows] - samples.t[-1]
     columns = (samples.to_target, samples.to_reference)
@@ -116,12 +116,12 @@ def _errors(samples: Samples) -> tuple[Array, ...]:
     return age, *lines, np.full_like(age, 1e3 * TOLERANCE)
 
 
-def _torques(samples: Samples) -> tuple[Array, ...]:
+def _torques(samples: HistorySamples) -> tuple[Array, ...]:
     rows = _shown_rows(samples)
     age = samples.t[rows] - samples.t[-1]
     return age, 100 * np.abs(samples.torque_share[rows]).max(axis=1), np.full_like(age, 100.0)
 
 
-def _shown_rows(samples: Samples) -> np.ndarray:
+def _shown_rows(samples: HistorySamples) -> np.ndarray:
     rows = np.arange(len(samples.t))[::-_SAMPLES_PER_POINT][::-1]
     return rows[np.isfinite(samples.to_target[rows])]

@@ -7,7 +7,7 @@ import numpy as np
 
 from armctl.core.target import TOLERANCE
 from armctl.core.units import length_text
-from armctl.view.realtime.history import Samples
+from armctl.view.realtime.history import HistorySamples
 from armctl.view.realtime.status import Activity, Status
 
 _MIN_SHOWN_MM = 1e-3
@@ -38,7 +38,7 @@ def describe(status: Status) -> str:
             return f"{how}{to_go}{reach}"
 
 
-def readings(samples: Samples, joint_names: Sequence[str], real_time_factor: float) -> str:
+def readings(samples: HistorySamples, joint_names: Sequence[str], real_time_factor: float) -> str:
     """Three numbers side by side, as HTML: the tip's distance from its reference, the motor nearest to its limit, the clock."""
     shares = np.abs(samples.torque_share[-1])
     busiest = int(np.argmax(shares))

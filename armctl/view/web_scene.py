@@ -60,12 +60,12 @@ class _View(NamedTuple):
     fov: float
 
 
-class _Frame(NamedTuple):
+class _ShownState(NamedTuple):
     qpos: Array
     mocap_pos: Array
     mocap_quat: Array
 
-    def is_close(self, other: _Frame) -> bool:
+    def is_close(self, other: _ShownState) -> bool:
         return all(np.abs(a - b).max(initial=0.0) < _MIN_MOTION for a, b in zip(self, other, strict=True))
 
 
@@ -109,9 +109,9 @@ class WebScene:
         self._lamps = _added_lamps(self.server.scene)
         self._view: _View | None = None
         self._drawing_lock = threading.Lock()  # `set` replaces what the drawing thread uses
-        self._latest: _Frame | None = None
+        self._latest: _ShownState | None = None
         self._shown = threading.Event()
-        self._drawn: _Frame | None = None
+        self._drawn: _ShownState | None = None
         self._client_connected = threading.Event()
         self._closing = threading.Event()
         self.server.on_client_connect(self._note_client)
@@ -155,7 +155,7 @@ class WebScene:
         """Sets what is drawn next: qpos (nq,), and positions (nmocap, 3) m and wxyz of mocap bodies, unchanged if None."""
         position = self._data.mocap_pos if mocap_pos is None else mocap_pos
         quat = self._data.mocap_quat if mocap_quat is None else mocap_quat
-        self._latest = _Frame(np.array(qpos), np.array(position), np.array(quat))
+        self._latest = _ShownState(np.array(qpos), np.array(position), np.array(quat))
         self._shown.set()
 
     def show_target(self, qpos: Array, target: Pose) -> None:

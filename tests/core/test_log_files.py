@@ -7,7 +7,7 @@ import pytest
 from motions import Sway
 
 import armctl
-from armctl.core.log_files import Content, save
+from armctl.core.log_files import LogContent, save
 
 ENDINGS = (".npz", ".parquet", ".csv")
 
@@ -68,7 +68,7 @@ def test_a_file_without_a_source_gets_it_from_its_texts(
     old = dataclasses.replace(log, controller=controller, plant=plant)
     facts = {f.name: getattr(old, f.name) for f in dataclasses.fields(old) if f.name not in ("source", "continuous", "torques")}
     arrays = {name: value for name, value in facts.items() if isinstance(value, np.ndarray)}
-    content = Content(arrays, {name: value for name, value in facts.items() if name not in arrays})
+    content = LogContent(arrays, {name: value for name, value in facts.items() if name not in arrays})
     save(tmp_path / f"old{ending}", content)
     loaded = armctl.Log.load(tmp_path / f"old{ending}")
     assert (loaded.source, loaded.continuous, loaded.torques) == expected

@@ -6,6 +6,7 @@
 import ast
 import subprocess
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -127,6 +128,29 @@ def test_an_unclear_statement_is_found(code: str):
 )
 def test_a_clear_statement_is_not(code: str):
     assert not list(unclear_statements(ast.parse(code)))
+
+
+# Classes of one name that are being divided. A row goes when one of them has another name.
+SHARED_CLASS_NAMES = {"Observer", "Rows", "Signals", "SimulatedArms", "Stream"}
+
+
+def class_names(text: str) -> list[str]:
+    """The names of the classes of a module, without leading underscores."""
+    return [node.name.lstrip("_") for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ClassDef)]
+
+
+def test_a_class_name_means_one_class():
+    """Also for readers and searches: an underscore does not make it another name."""
+    places = defaultdict(list)
+    for module, text in SOURCES.items():
+        for name in class_names(text):
+            places[name].append(module)
+    shared = {name: modules for name, modules in places.items() if len(modules) > 1}
+    assert set(shared) == SHARED_CLASS_NAMES, shared
+
+
+def test_a_private_class_name_counts_as_the_public_one():
+    assert class_names("class _Stream: pass\nclass Stream:\n    class _Row: pass") == ["Stream", "Stream", "Row"]
 
 
 def test_tests_import_no_private_names():

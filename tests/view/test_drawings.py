@@ -10,7 +10,7 @@ from armctl.core.pose import Pose
 from armctl.view.charts import Charts
 from armctl.view.drawings import ContactArrows, TipTrail
 from armctl.view.page import Demonstration
-from armctl.view.realtime.history import Samples
+from armctl.view.realtime.history import HistorySamples
 from armctl.view.realtime.session import RealTimeSession
 
 EPSILON = 1e-6  # points are sent as float32
@@ -79,7 +79,7 @@ def test_the_charts_show_millimetres_percents_and_the_age_of_each_sample(paper):
     to_target[:9] = np.nan  # before the session began
     to_reference = np.full(21, 2e-3)
     share = np.stack([np.linspace(-1.0, 1.0, 21), np.full(21, 0.25)], axis=1)
-    samples = Samples(t, to_target, to_reference, share)
+    samples = HistorySamples(t, to_target, to_reference, share)
     charts = Charts(paper, ("first", "second"), samples)
     errors, torques = paper.plots
     rows = [12, 16, 20]  # each fourth up to the last one

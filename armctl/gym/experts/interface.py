@@ -9,7 +9,7 @@ from armctl.core.errors import InputError
 from armctl.core.pose import rotation_vector
 from armctl.core.validation import Array
 from armctl.gym.batch import Batch
-from armctl.gym.tasks.table import Table
+from armctl.gym.tasks.table import Tabletop
 from armctl.plan.ik.problem import ik_chain
 from armctl.plan.ik.solve import solve_ik
 
@@ -99,7 +99,7 @@ def max_turns(batch: Batch, max_lag: float, speed_share: float = 1.0) -> Array:
 class CartesianExpert(Expert):
     """A policy that commands positions of the end of the tool."""
 
-    table: Table
+    table: Tabletop
     position: Array  # (3,) m, the commanded position
 
     def __init__(self, batch: Batch, row: int):

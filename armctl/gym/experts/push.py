@@ -7,7 +7,7 @@ import numpy as np
 from armctl.core.validation import Array
 from armctl.gym.batch import Batch
 from armctl.gym.experts.interface import CartesianExpert, Command
-from armctl.gym.tasks.push import BEHIND, Push
+from armctl.gym.tasks.push import BEHIND, PushTask
 
 _PUSH_SPEED = 0.15  # reaches per second
 _SLOWING = 3.0  # 1/s, of the speed near the goal
@@ -35,7 +35,7 @@ class PushExpert(CartesianExpert):
     def __init__(self, batch: Batch, row: int):
         super().__init__(batch, row)
         task = batch.task
-        assert isinstance(task, Push)
+        assert isinstance(task, PushTask)
         self.table = task.table
         self._radius = task.radius
         self._distance = task.radius + task.table.tool.radius + BEHIND + task.table.reach_over(task.height)

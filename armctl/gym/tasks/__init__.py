@@ -4,12 +4,12 @@ import gymnasium
 
 from armctl.gym.tasks.interface import Task
 from armctl.gym.tasks.pick_place import PickPlace
-from armctl.gym.tasks.push import Push
+from armctl.gym.tasks.push import PushTask
 from armctl.gym.tasks.reach import Reach
 from armctl.gym.tasks.reach_past import ReachPast
 from armctl.gym.tasks.track import Track
 
-TASKS: dict[str, type[Task]] = {task.name: task for task in (Reach, ReachPast, Track, Push, PickPlace)}
+TASKS: dict[str, type[Task]] = {task.name: task for task in (Reach, ReachPast, Track, PushTask, PickPlace)}
 
 
 def register() -> None:

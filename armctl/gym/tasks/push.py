@@ -23,7 +23,7 @@ _MIN_WAY = 0.06  # m, between object and goal, or the radius of the area if that
 BEHIND = 0.02  # m, between the tool and the object before it pushes
 
 
-class Push(Task):
+class PushTask(Task):
     """Push an object on a table to a goal on the table.
 
     The table is where the tool can point down, by the reach of the arm. The object is an upright cylinder. A gripper

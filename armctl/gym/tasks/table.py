@@ -36,7 +36,7 @@ _EDGE = np.array([[np.cos(angle), np.sin(angle)] for angle in np.arange(8) * np.
 _MAX_SCENES = 8  # that are built to look for contacts
 
 
-class Table(NamedTuple):
+class Tabletop(NamedTuple):
     """A table in front of an arm."""
 
     center: Array  # (3,) m, of the area, on top of the table
@@ -78,7 +78,7 @@ class Cylinder(NamedTuple):
 class _SceneWithCylinder(Scene):
     """A scene with a table, and a cylinder called "object"."""
 
-    def __init__(self, table: Table, cylinder: Cylinder):
+    def __init__(self, table: Tabletop, cylinder: Cylinder):
         super().__init__()
         edge = 2.0 * (table.radius + 3.0 * cylinder.radius)
         self.add_box("task_table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
@@ -92,7 +92,7 @@ class _SceneWithCylinder(Scene):
         spec.geom("object").friction[0] = self._friction
 
 
-_Place = tuple[Table, list[Array]]  # a candidate: the table, and the configurations over its corners
+_Place = tuple[Tabletop, list[Array]]  # a candidate: the table, and the configurations over its corners
 
 
 def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, height: float, task: str) -> Iterator[_Place]:
@@ -113,7 +113,7 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
         direction = np.array([np.cos(heading + turn), np.sin(heading + turn), 0.0])
         center = base + reach * (distance * direction + np.array([0.0, 0.0, drop]))
         center[2] = max(center[2], _MIN_TOP) if has_ground else center[2]
-        table = Table(center, radius * reach, low, lift, tool, tilt, base[:2], arm.home)
+        table = Tabletop(center, radius * reach, low, lift, tool, tilt, base[:2], arm.home)
         where = (tilt, *center)
         if where not in middles:
             middles[where] = _solve(arm, table, np.array([0.0, 0.0, lift]), arm.home)
@@ -129,7 +129,7 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
         )
 
 
-def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinder, name: str) -> tuple[Arm, Table]:
+def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinder, name: str) -> tuple[Arm, Tabletop]:
     """The arm at the first place where it touches neither the table nor itself, with a cylinder on the table.
 
     InputError if there is none, or the robot was loaded already.
@@ -142,7 +142,7 @@ def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinde
     raise InputError(f"robot: {name} finds no place for a table that the arm does not touch; mount the arm higher or alone")
 
 
-def _corners(arm: Arm, table: Table, middle: Array | None, margin: float) -> list[Array] | None:
+def _corners(arm: Arm, table: Tabletop, middle: Array | None, margin: float) -> list[Array] | None:
     """Configurations over the area, that above its center first, if there is one; None if the arm is not good there."""
     limits = target_limits(arm)
     if middle is None:
@@ -158,7 +158,7 @@ def _corners(arm: Arm, table: Table, middle: Array | None, margin: float) -> lis
     return found
 
 
-def _solve(arm: Arm, table: Table, offset: Array, q: Array) -> Array | None:
+def _solve(arm: Arm, table: Tabletop, offset: Array, q: Array) -> Array | None:
     """The configuration near q with the end of the tool at an offset from the center of the area; None if there is none."""
     result = solve_ik(arm, table.pose(table.center + offset), q, free_axis=table.tool.axis)
     return result.q if result.ok else None

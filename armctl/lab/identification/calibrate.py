@@ -121,7 +121,7 @@ class Columns(NamedTuple):
     dependent: dict[int, list[int]]
 
 
-class _Fit:
+class _GeometryFit:
     """Parameters fitted to measured poses by weighted least squares."""
 
     def __init__(self, chain: KinematicChain, parameters: Sequence[Parameter], q: Array, measured: Measurement):
@@ -221,8 +221,8 @@ def calibrate_geometry(
     seen = identifiable(chain, known, q, read.rotation is None)
     fitted = [known[i] for i in seen.kept]
     unseen = tuple(known[i].name for i in seen.dependent)
-    before = _Fit(chain, [p for p in fitted if p.kind in ("sensor", "marker")], q, read)
-    fit = _Fit(chain, fitted, q, read)
+    before = _GeometryFit(chain, [p for p in fitted if p.kind in ("sensor", "marker")], q, read)
+    fit = _GeometryFit(chain, fitted, q, read)
     from scipy.special import stdtrit
 
     errors = np.sqrt(np.diag(fit.covariance))

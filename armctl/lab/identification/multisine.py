@@ -19,7 +19,7 @@ from armctl.model.collision.checkers import collision_checker
 from armctl.model.collision.clearance import clearance_of
 from armctl.plan.motion.torque_limits import check_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.plan.motion.trajectory.piecewise import Samples, hermite, sample
+from armctl.plan.motion.trajectory.piecewise import JointSamples, hermite, sample
 
 _PERIOD_S = 2.0  # its inverse is the resolution in Hz
 _PERIODS = 3  # with each set of phases: the transient decays in the first ones, the last is measured
@@ -110,7 +110,7 @@ def odd_lines(highest: float, period: float) -> IntArray:
     return np.unique(odd[np.abs(wanted[:, None] - odd).argmin(axis=1)])
 
 
-def _unit_motion(times: Array, lines: IntArray, sets: int, joints: int, rng: np.random.Generator) -> Samples:
+def _unit_motion(times: Array, lines: IntArray, sets: int, joints: int, rng: np.random.Generator) -> JointSamples:
     """Oscillations (T, joints) whose velocity has the amplitude 1 at low frequencies, from rest to rest."""
     w = 2 * np.pi * lines / _PERIOD_S
     amplitudes = 1 / (w * (1 + w / (2 * np.pi * _CORNER_HZ)))
@@ -138,7 +138,7 @@ def _unit_motion(times: Array, lines: IntArray, sets: int, joints: int, rng: np.
     rows[0] = old[0] + share * change[0]
     rows[1] = old[1] + share * change[1] + rate * change[0]
     rows[2] = old[2] + share * change[2] + 2 * rate * change[1] + bend * change[0]
-    return Samples(*rows)
+    return JointSamples(*rows)
 
 
 def _drift(sets: int, speed: Array) -> tuple[Array, Array, Array, Array]:
@@ -153,7 +153,7 @@ def _drift(sets: int, speed: Array) -> tuple[Array, Array, Array, Array]:
     return times, places[:, None] * speed, moves[:, None] * speed, np.zeros((len(times), len(speed)))
 
 
-def _largest_size(arm: Arm, joints: tuple[int, ...], unit: Samples, spacing: float, drift: Array, speed: float) -> Array:
+def _largest_size(arm: Arm, joints: tuple[int, ...], unit: JointSamples, spacing: float, drift: Array, speed: float) -> Array:
     """The factors on a motion of unit size at which joints reach a share of their limits, or of the drift."""
     moving = list(joints)
     jerk = np.diff(unit.a, axis=0) / spacing

@@ -140,7 +140,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
     disturbed = _disturbed(arm, log)
     if disturbed:
         return _nothing(arm, disturbed)
-    fit = _Fit(arm, log)
+    fit = _PayloadFit(arm, log)
     for _ in range(_ROUNDS):
         fit.improve()
     return _judged(fit)
@@ -180,7 +180,7 @@ class RowFilter:
         return filtered[self.radius : len(columns) - self.radius : self._stride]
 
 
-class _Fit:
+class _PayloadFit:
     """The equations of one run, the parameters that explain it so far, and how well they are known."""
 
     def __init__(self, arm: Arm, log: Log):
@@ -247,7 +247,7 @@ class _Fit:
         return self._tau - explained - self._regressors @ linear
 
 
-def _judged(fit: _Fit) -> PayloadEstimate:
+def _judged(fit: _PayloadFit) -> PayloadEstimate:
     mass = float(fit.theta[0])
     error = float(fit.error[0])
     reason = ""

@@ -29,7 +29,7 @@ class RecordedResponse(NamedTuple):
     coherence: Array
 
 
-class _Estimate(NamedTuple):
+class _ResponseEstimate(NamedTuple):
     """A response matrix (k, n, n) with the bounds of its elements, and the coherence (k, n) of its outputs."""
 
     response: ComplexArray
@@ -125,7 +125,7 @@ def _spectra(log: Log, motion: Excitation, multisine: Multisine, seen: Array) ->
     return _Spectra(*[_transformed(multisine, log.dt, rows[:, joints]) for rows in (reference, seen, torque)])
 
 
-def _estimate(output: ComplexArray, given: ComplexArray, instrument: ComplexArray) -> _Estimate:
+def _estimate(output: ComplexArray, given: ComplexArray, instrument: ComplexArray) -> _ResponseEstimate:
     """The response matrix from `given` to `output`, each (k, n, M), with a signal without noise that excites both."""
     adjoint = instrument.conj().transpose(0, 2, 1)
     try:
@@ -137,7 +137,7 @@ def _estimate(output: ComplexArray, given: ComplexArray, instrument: ComplexArra
     variance = (np.abs(output - response @ given) ** 2).sum(axis=2) / freedom
     of_elements = variance[:, :, None] * (np.abs(weights) ** 2).sum(axis=1)[:, None, :]
     coherence = 1 - variance / np.maximum((np.abs(output) ** 2).mean(axis=2), np.finfo(float).tiny)
-    return _Estimate(response, np.sqrt(bound_factor(freedom) * of_elements), np.clip(coherence, 0.0, 1.0))
+    return _ResponseEstimate(response, np.sqrt(bound_factor(freedom) * of_elements), np.clip(coherence, 0.0, 1.0))
 
 
 def _checked_loop(loop: Loop | None, log: Log) -> Loop:

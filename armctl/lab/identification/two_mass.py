@@ -157,7 +157,7 @@ def _misfit(arm: Arm, fits: Sequence[TwoMass], q: Array, plant: Plant) -> float:
 def fit_two_mass(response: MeasuredResponse) -> TwoMass:
     if response.of != "plant":
         raise InputError(f"two_mass: it is the {response.of} of {response.joint}; give of='plant' to from_log")
-    fit = _Fit(response)
+    fit = _TwoMassFit(response)
     rigid_cost, rigid = fit.best("rigid")
     cost, z, side = min((*fit.best(side), side) for side in _SIDES) if fit.lines > 2 * len(rigid) else (np.inf, rigid, "motor")
     motor, link, stiffness, damping, viscous = np.exp(z[:5])
@@ -193,7 +193,7 @@ def fit_two_mass(response: MeasuredResponse) -> TwoMass:
     )
 
 
-class _Fit:
+class _TwoMassFit:
     """Fits z to a response: logarithms of motor inertia, link inertia, stiffness, damping of the spring and viscous friction;
     the stiffness of gravity as a share of what moves the link at the lowest frequency; and the phase lag at the highest one."""
 

@@ -66,7 +66,7 @@ _KEPT_CONTROLLERS = 64
 _MODEL_ARRAYS = ("body_", "jnt_", "dof_", "geom_", "tendon_", "eq_", "actuator_", "qpos0")
 
 
-class Run(NamedTuple):
+class StudyRun(NamedTuple):
     """One run as plain data."""
 
     key: str  # identifies the run and the versions it is made with
@@ -101,14 +101,14 @@ class Bench:
         self._motions: dict[tuple[Any, Any], JointTrajectory] = {}
         self._own = threading.local()  # controllers have a memory, so each thread has its own
 
-    def simulate(self, run: Run) -> Log:
+    def simulate(self, run: StudyRun) -> Log:
         """All ticks of one run. Raises ArmctlError if a value of a factor is impossible, or the controller failed."""
         return simulate(self.arm, self.controller(run), self.motion(run.point), self.plant(run), self._dwell)
 
-    def outcomes(self, runs: Sequence[Run]) -> list[Outcome]:
+    def outcomes(self, runs: Sequence[StudyRun]) -> list[Outcome]:
         return [self.outcome(run) for run in runs]
 
-    def outcome(self, run: Run) -> Outcome:
+    def outcome(self, run: StudyRun) -> Outcome:
         """Makes one run. A run that fails has an outcome with the reason."""
         try:
             log = self.simulate(run)
@@ -134,7 +134,7 @@ class Bench:
             "digest": hashlib.blake2b(log.q.tobytes() + log.tau_cmd.tobytes(), digest_size=8).hexdigest(),
         }
 
-    def plant(self, run: Run) -> Plant:
+    def plant(self, run: StudyRun) -> Plant:
         values: dict[str, Any] = {name: value for name, value in run.point.items() if name in PLANT_FACTORS}
         if "friction" in run.point:
             friction = number("friction", run.point["friction"], 0.0) * self.arm.limits.tau_max
@@ -144,7 +144,7 @@ class Bench:
             values = {"encoder_noise": noise * _NOISE_RAD, "velocity_noise": noise * _NOISE_RAD_S, **values}
         return Plant(seed=run.seed, **values)
 
-    def check_plant(self, run: Run) -> None:
+    def check_plant(self, run: StudyRun) -> None:
         """Raises InputError if a value of a factor is impossible for this arm."""
         plant = self.plant(run)
         for name, attribute in PLANT_ATTRIBUTES.items():
@@ -180,7 +180,7 @@ class Bench:
         motion = JointTrajectory(knots, coefficients, self.arm.joint_names, self.arm.limits, units=self.arm.units)
         return motion if speed == 1.0 else motion.scaled(speed)
 
-    def controller(self, run: Run) -> Controller:
+    def controller(self, run: StudyRun) -> Controller:
         """The controller of a run, one for each thread."""
         arguments = {
             name.removeprefix(CONTROLLER_FACTOR): value
@@ -227,7 +227,7 @@ def _kept_bench(setup: str) -> Bench:
     return bench
 
 
-def run_chunk(setup: str, runs: Sequence[Run]) -> list[Outcome]:
+def run_chunk(setup: str, runs: Sequence[StudyRun]) -> list[Outcome]:
     """Makes runs, in a worker. Equal runs have equal bits, whichever worker makes them, in whichever order."""
     with _benches_lock:
         bench = _kept_bench(setup)

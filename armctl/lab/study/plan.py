@@ -19,7 +19,7 @@ from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.file_reading import read_bytes, reading
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import choice, instance, integer, number, shown
-from armctl.lab.study.bench import CONTROLLER_FACTOR, OTHER_FACTORS, PLANT_FACTORS, Bench, Run, versions
+from armctl.lab.study.bench import CONTROLLER_FACTOR, OTHER_FACTORS, PLANT_FACTORS, Bench, StudyRun, versions
 from armctl.lab.study.factors import MAX_RUNS, SAMPLINGS, design_points, factor_table, read_factor
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 
@@ -129,7 +129,7 @@ class StudyPlan:
         return json.loads(json.dumps(values))
 
     @cached_property
-    def runs(self) -> tuple[Run, ...]:
+    def runs(self) -> tuple[StudyRun, ...]:
         """All runs, in the order of the table.
 
         Raises:
@@ -150,7 +150,7 @@ class StudyPlan:
                 seed = int(_digest(self.name, str(self.seed), noise, str(repeat))[:8], 16)
                 for label, spec in specs.items():
                     key = _digest(shared, label, spec, described, str(repeat), str(seed))
-                    found.append(Run(key, label, point, repeat, seed))
+                    found.append(StudyRun(key, label, point, repeat, seed))
         return tuple(found)
 
     @property

@@ -18,7 +18,7 @@ from armctl.core.log import Log
 from armctl.core.result import Verdict
 from armctl.core.validation import choice, flag, instance, integer
 from armctl.lab.study import plots
-from armctl.lab.study.bench import FIGURES, Outcome, Run
+from armctl.lab.study.bench import FIGURES, Outcome, StudyRun
 from armctl.lab.study.plan import StudyPlan
 from armctl.lab.study.summary import Sensitivity, StudySummary, sobol_indices, summarize
 
@@ -210,7 +210,7 @@ class StudyResult(Verdict):
 
     def _again(self, row: Mapping[str, Any]) -> Log | None:
         point = {name: row[name] for name in self.study.factors}
-        run = Run(row["key"], row["controller"], point, int(row["repeat"]), int(row["seed"]))
+        run = StudyRun(row["key"], row["controller"], point, int(row["repeat"]), int(row["seed"]))
         try:
             return self.study.bench.simulate(run)
         except ArmctlError as error:

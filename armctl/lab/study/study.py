@@ -22,7 +22,7 @@ from armctl.lab.study.bench import (
     CONTROLLER_FACTOR,
     FIGURES,
     Outcome,
-    Run,
+    StudyRun,
     failed_outcome,
     make_controller,
     run_chunk,
@@ -39,17 +39,19 @@ _MAX_CHUNK = 64
 _CHUNKS_OF_SMALL_STUDY = 64
 _MAX_PENDING = 256  # chunks that are handed out at a time, which bounds the memory of the scheduler
 
-Note = Callable[[Sequence[Run], Sequence[Outcome], bool], None]  # runs, outcomes, and whether they are final
+Note = Callable[[Sequence[StudyRun], Sequence[Outcome], bool], None]  # runs, outcomes, and whether they are final
 _BUSY_S = 30.0  # how long to wait for another program that writes the same file
 _KEYS_PER_QUERY = 500
 
 
-def execute(work: Callable[[Sequence[Run]], list[Outcome]], runs: Sequence[Run], executor: Executor, note: Note) -> None:
+def execute(
+    work: Callable[[Sequence[StudyRun]], list[Outcome]], runs: Sequence[StudyRun], executor: Executor, note: Note
+) -> None:
     """Makes runs on an executor; `note` is called in this thread with each chunk that is finished.
 
     Raises ArmctlError if the workers cannot load the robot, or the executor has stopped. What was finished has been noted.
     """
-    pending: dict[Future[list[Outcome]], Sequence[Run]] = {}
+    pending: dict[Future[list[Outcome]], Sequence[StudyRun]] = {}
     waiting = deque(_chunks(runs))
     try:
         while waiting or pending:
@@ -76,7 +78,7 @@ def execute(work: Callable[[Sequence[Run]], list[Outcome]], runs: Sequence[Run],
                 note(chunk, future.result(), True)
 
 
-def _chunks(runs: Sequence[Run]) -> Iterator[Sequence[Run]]:
+def _chunks(runs: Sequence[StudyRun]) -> Iterator[Sequence[StudyRun]]:
     size = min(max(_MIN_CHUNK, ceil(len(runs) / _CHUNKS_OF_SMALL_STUDY)), _MAX_CHUNK)
     for first in range(0, len(runs), size):
         yield runs[first : first + size]
@@ -150,7 +152,7 @@ class Study(StudyPlan):
                 warnings.warn(ArmctlWarning(message), stacklevel=2)
             with progress_bar("study", len(todo) if progress else 0, "runs") as bar:
 
-                def note(runs: Sequence[Run], outcomes: Sequence[Outcome], final: bool) -> None:
+                def note(runs: Sequence[StudyRun], outcomes: Sequence[Outcome], final: bool) -> None:
                     store.add(runs, outcomes, final=final)
                     if progress:
                         bar.update(len(runs))
@@ -214,7 +216,7 @@ class Store:
     def __exit__(self, *exception: object) -> None:
         self._db.close()
 
-    def add(self, runs: Sequence[Run], outcomes: Iterable[Outcome], *, final: bool = True) -> None:
+    def add(self, runs: Sequence[StudyRun], outcomes: Iterable[Outcome], *, final: bool = True) -> None:
         """Adds finished runs. Those that are not final are made again by the next start."""
         rows = [
             (run.key, self._versions, json.dumps(run[1:]), json.dumps(outcome), int(final))
@@ -223,7 +225,7 @@ class Store:
         with self._one_sentence(), self._db:
             self._db.executemany("insert or replace into runs values (?, ?, ?, ?, ?)", rows)
 
-    def outcomes(self, runs: Sequence[Run], *, final: bool = False) -> dict[str, Outcome]:
+    def outcomes(self, runs: Sequence[StudyRun], *, final: bool = False) -> dict[str, Outcome]:
         """The outcomes of those runs that are finished, by key; with `final`, only of those that are not made again."""
         found: dict[str, Outcome] = {}
         condition = " and final" if final else ""

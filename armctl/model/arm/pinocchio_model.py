@@ -22,7 +22,7 @@ from armctl.model.mjmodel.queries import last_joint_above
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
-class _Memory(threading.local):
+class _PinocchioScratch(threading.local):
     """Pinocchio's scratch memory and the place of the tip in it, one for each thread."""
 
     def __init__(self, pin_model: pin.Model, tip_frame: int):
@@ -63,8 +63,8 @@ class PinocchioModel:
         return self._memory.data
 
     @cached_property
-    def _memory(self) -> _Memory:
-        return _Memory(self.pin_model, self.tip_frame)
+    def _memory(self) -> _PinocchioScratch:
+        return _PinocchioScratch(self.pin_model, self.tip_frame)
 
     def jacobian(self, q: Array) -> Array:
         """The tip's Jacobian (6, n) at q (n,), linear first, world axes."""

@@ -28,7 +28,7 @@ SAMPLES = 64
 _UNIT_KNOTS = np.array([0.0, 1.0])
 
 
-class _Memory(threading.local):
+class _QueryScratch(threading.local):
     """What queries overwrite; each thread has its own."""
 
     def __init__(self, geometry: Geometry):
@@ -100,7 +100,7 @@ class CollisionChecker:
 
     def _set(self, geometry: Geometry) -> None:
         self.geometry = geometry  # the geoms and pairs
-        self._memory = _Memory(geometry)
+        self._memory = _QueryScratch(geometry)
 
     def at(self, q: Array, clearance: float = 0.0) -> str:
         """What touches, or is nearer than a clearance, m, at q (n,), such as "link7 touches floor"; empty if nothing does."""

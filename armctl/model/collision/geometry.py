@@ -45,7 +45,7 @@ class Edges(NamedTuple):
         return cls(np.zeros(len(vertices), np.int64), np.empty(0, np.int64))
 
 
-class Shape(NamedTuple):
+class GeomShape(NamedTuple):
     """One geom at the reference configuration."""
 
     kind: ShapeKind  # how the core finds its support points
@@ -92,7 +92,7 @@ class Geometry:
     """What an arm could touch, and the model of it in the compiled core."""
 
     geom_ids: IntArray  # (G,) the model's geoms in the order of the shapes
-    shapes: Sequence[Shape]  # their shapes
+    shapes: Sequence[GeomShape]  # their shapes
     frames: Frames  # what moves them
     arrays: dict[str, Any]  # what the core takes, without the pairs
     core: CollisionModel  # the model in the core
@@ -199,7 +199,7 @@ def contact_margins(model: mujoco.MjModel, pairs: IntArray) -> Array:
 
 
 def _geometry(
-    geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Any], pairs: IntArray, margins: Array
+    geom_ids: IntArray, shapes: Sequence[GeomShape], frames: Frames, arrays: dict[str, Any], pairs: IntArray, margins: Array
 ) -> Geometry:
     first_geoms, second_geoms = np.ascontiguousarray(pairs.T, np.int64)
     margins = np.ascontiguousarray(margins, np.float64)
@@ -207,7 +207,7 @@ def _geometry(
     return Geometry(geom_ids, shapes, frames, arrays, core, frozen(pairs), frozen(margins))
 
 
-def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dict[str, Any]:
+def _arrays(frames: Frames, shapes: Sequence[GeomShape], joint_map: JointMap) -> dict[str, Any]:
     """What the core takes, without the pairs."""
     first_vertex = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
     counts = [shape.edges.counts for shape in shapes]
@@ -303,13 +303,13 @@ def _moving_pairs(model: mujoco.MjModel, frames: Frames) -> IntArray:
     return pairs
 
 
-def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) -> Shape:
+def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) -> GeomShape:
     """The shape of a geom in the world, where `data` has it."""
     position = data.geom_xpos[geom].copy()
     R = data.geom_xmat[geom].reshape(3, 3).copy()
     size = model.geom_size[geom]
     kind = int(model.geom_type[geom])
-    round_shape = Shape(
+    round_shape = GeomShape(
         kind=ShapeKind.HULL,
         frame=frame,
         position=position,

@@ -61,7 +61,7 @@ class SerialChain:
 
 
 @dataclass(frozen=True)
-class _Run:
+class _JointSeries:
     """Joints in series behind a base."""
 
     base: int
@@ -76,12 +76,12 @@ def all_chains(analysis: Transmissions) -> list[SerialChain]:
     """
     model = analysis.model
     runs, refused = _drivable_runs(analysis)
-    found: set[_Run] = set()
+    found: set[_JointSeries] = set()
     counts = branch_counts(model)
     for run in _longest(runs):
         end = _end_of_arm(analysis, run.joints, counts)
-        found.add(_Run(run.base, run.joints[:end]))
-        found.add(_Run(int(model.jnt_bodyid[run.joints[end - 1]]), run.joints[end:]))
+        found.add(_JointSeries(run.base, run.joints[:end]))
+        found.add(_JointSeries(int(model.jnt_bodyid[run.joints[end - 1]]), run.joints[end:]))
     kept = sorted(_longest({run for run in found if run.joints}), key=lambda run: (run.base, run.joints))
     chains = [_serial_chain(analysis, run, _coupled_above(analysis, run.base, run.joints)) for run in kept]
     chains += [_serial_chain(analysis, run, reason) for run, reason in refused.items()]
@@ -169,22 +169,22 @@ def _coupled_above(analysis: Transmissions, base: int, joints: Joints) -> str:
     return ""
 
 
-def _drivable_runs(analysis: Transmissions) -> tuple[set[_Run], dict[_Run, str]]:
+def _drivable_runs(analysis: Transmissions) -> tuple[set[_JointSeries], dict[_JointSeries, str]]:
     """All runs of joints that can be driven, and the joints that cannot, with the reason."""
     model = analysis.model
-    runs: set[_Run] = set()
-    refused: dict[_Run, str] = {}
-    run_to = [_Run(0, ())] * model.nbody
+    runs: set[_JointSeries] = set()
+    refused: dict[_JointSeries, str] = {}
+    run_to = [_JointSeries(0, ())] * model.nbody
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
         own = joints_of(model, body)
         reason = next(filter(None, (_refusal(analysis, joint) for joint in own)), "")
         before = run_to[parent]
-        run_to[body] = _Run(body, ()) if reason else _Run(before.base, before.joints + own)
+        run_to[body] = _JointSeries(body, ()) if reason else _JointSeries(before.base, before.joints + own)
         if run_to[body].joints:
             runs.add(run_to[body])
         if reason and not is_free(model, own[0]):
-            refused[_Run(parent, own)] = reason
+            refused[_JointSeries(parent, own)] = reason
     return runs, refused
 
 
@@ -198,7 +198,7 @@ def _refusal(analysis: Transmissions, joint: int) -> str:
     return transmission if isinstance(transmission, str) else ""
 
 
-def _serial_chain(analysis: Transmissions, run: _Run, reason: str) -> SerialChain:
+def _serial_chain(analysis: Transmissions, run: _JointSeries, reason: str) -> SerialChain:
     model = analysis.model
     transmissions = () if reason else analysis.of_chain(run.joints)
     own = tuple(transmission.joint for transmission in transmissions) or run.joints
@@ -214,12 +214,12 @@ def _serial_chain(analysis: Transmissions, run: _Run, reason: str) -> SerialChai
     )
 
 
-def _longest(runs: set[_Run]) -> set[_Run]:
+def _longest(runs: set[_JointSeries]) -> set[_JointSeries]:
     """Those runs that are not the beginning of another run on the same base."""
-    beginnings: set[_Run] = set()
+    beginnings: set[_JointSeries] = set()
     for run in sorted(runs, key=lambda run: -len(run.joints)):
         if run not in beginnings:
-            beginnings.update(_Run(run.base, run.joints[:k]) for k in range(len(run.joints)))
+            beginnings.update(_JointSeries(run.base, run.joints[:k]) for k in range(len(run.joints)))
     return runs - beginnings
 
 

@@ -52,7 +52,7 @@ _FLANGE = "armctl_flange"
 
 
 @dataclass(frozen=True, eq=False)
-class _Robot:
+class _RobotSpec:
     """A robot as it was read, before a tool or a scene is added."""
 
     spec: mujoco.MjSpec
@@ -74,7 +74,7 @@ class _Robot:
 
 
 @dataclass(frozen=True, eq=False)
-class _Recipe:
+class _LoadRecipe:
     """The arguments of `load` or `load_arms`, from which its model is made."""
 
     robot: str | os.PathLike[str] | mujoco.MjSpec  # as for `load`
@@ -294,11 +294,11 @@ def _loaded(
         prepared = _with_shape_notes(prepared, model, _joints(plans), unchecked)
         return _arms(source.name, prepared, [*corrections, *model_notes(model)], None)
     kept = locate(robot).copied_spec() if isinstance(robot, mujoco.MjSpec) else robot
-    recipe = _Recipe(kept, tuple(ends), hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
+    recipe = _LoadRecipe(kept, tuple(ends), hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
     return _arms(*recipe.prepared(), recipe)
 
 
-def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Recipe | None) -> tuple[Arm, ...]:
+def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _LoadRecipe | None) -> tuple[Arm, ...]:
     """The arms of a prepared model, checked, after the warnings about it."""
     warned = [*notes, *prepared.notes]
     for sentence in [*warned, *(note for plan in prepared.plans for note in plan.notes)]:
@@ -339,7 +339,7 @@ def _with_shape_notes(
     return replace(prepared, quiet_notes=quiet_notes, unchecked_links=names, shape_note=note)
 
 
-def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None = None, *, visual: bool = False) -> _Robot:
+def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None = None, *, visual: bool = False) -> _RobotSpec:
     """A robot's specification, with what its SRDF says, and what is noted about it."""
     spec, notes, unread, drawn = source.read(visual=visual)
     notes = [*notes, *add_missing_motors(spec)]
@@ -354,7 +354,7 @@ def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None =
     loose_links: frozenset[str] = frozenset()
     if source.urdf is not None and not _lists_all_pairs(semantics, source.urdf, is_given=srdf is not None):
         loose_links = frozenset(link.get("name", "") for link in source.urdf.root.findall("link"))
-    return _Robot(spec, tuple(notes), tuple(quiet_notes), semantics, loose_links, unread, drawn)
+    return _RobotSpec(spec, tuple(notes), tuple(quiet_notes), semantics, loose_links, unread, drawn)
 
 
 def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:

@@ -17,7 +17,7 @@ from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import checkable
 from armctl.plan.ik.closed_form_solutions import Solutions, closed_form_solutions
 from armctl.plan.ik.numerical_solutions import completed_solutions, numerical_solutions
-from armctl.plan.ik.problem import MIN_TOLERANCE, Problem, ik_chain, read_seed, read_start, read_target, read_tolerance
+from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, ik_chain, read_seed, read_start, read_target, read_tolerance
 from armctl.plan.ik.result import BATCH_ARRAYS, IkBatch, IkResult
 from armctl.plan.ik.solve import solve_ik
 
@@ -94,7 +94,7 @@ def solve_ik_all(
         found = closed_form_solutions(chain, form, rows, start, position_tolerance, orientation_tolerance, limit)
     else:
         goal = rows.reshape(1, 12)
-        problem = Problem(arm, chain, constraint, goal, start[None], position_tolerance, orientation_tolerance, seed)
+        problem = IkProblem(arm, chain, constraint, goal, start[None], position_tolerance, orientation_tolerance, seed)
         found = _inexact_solutions(problem, limit)
     is_complete = found.is_complete and len(found.q) <= limit
     if avoid:
@@ -136,7 +136,7 @@ def _column(value: bool | int | str, count: int) -> Any:
     return frozen(np.full(count, value, object if isinstance(value, str) else None))
 
 
-def _inexact_solutions(problem: Problem, limit: int) -> Solutions:
+def _inexact_solutions(problem: IkProblem, limit: int) -> Solutions:
     """The solutions of a problem that has no closed form, or only almost."""
     chain = problem.chain
     form = chain.closed_form

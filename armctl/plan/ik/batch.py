@@ -18,7 +18,7 @@ from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, IntArray, array, as_array, frozen, integer, matrix
 from armctl.model.arm.arm import Arm
 from armctl.plan.ik import lm
-from armctl.plan.ik.problem import Problem, constraint_of, read_problem
+from armctl.plan.ik.problem import IkProblem, constraint_of, read_problem
 from armctl.plan.ik.result import BATCH_ARRAYS, IkBatch, failure_reason
 
 MAX_CHUNK = 1024  # targets
@@ -80,7 +80,7 @@ def _chunks(count: int, workers: int) -> list[IntArray]:
     return chunks
 
 
-def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
+def _solve(problem: IkProblem, rows: IntArray, stay_near: bool) -> IkBatch:
     part = problem.select(rows)
     found = lm.search(part, 0, lm.LM_STARTS)
     q = lm.stay_near(part, found) if stay_near else found.q

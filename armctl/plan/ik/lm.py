@@ -6,7 +6,7 @@ import numpy as np
 
 from armctl._core import ROTATION_WEIGHT, Constraint
 from armctl.core.validation import Array, BoolArray, IntArray
-from armctl.plan.ik.problem import Problem
+from armctl.plan.ik.problem import IkProblem
 
 # Of 760 000 targets with joints at their bounds, on 38 arms, the slowest was solved after 778 starts, the next after 366.
 LM_STARTS = 2000
@@ -45,7 +45,7 @@ class BestEffort(NamedTuple):
     out_of_reach: BoolArray  # (N,) whether the point itself is out of reach
 
 
-def search(problem: Problem, first: int, last: int, begin: Array | None = None) -> SearchResult:
+def search(problem: IkProblem, first: int, last: int, begin: Array | None = None) -> SearchResult:
     """Searches from the starts `first` to `last - 1`. Start 0 is `begin` (N, n), by default q0; the others are random."""
     chain = problem.chain
     q0 = np.ascontiguousarray(chain.to_units(problem.q0))
@@ -67,7 +67,7 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
     return SearchResult(chain.from_units(q), solved == 1, next_start, iterations, jumped == 1)
 
 
-def refine(problem: Problem, q: Array, pull: float = 0.0, rotation_weight: float = ROTATION_WEIGHT) -> Refined:
+def refine(problem: IkProblem, q: Array, pull: float = 0.0, rotation_weight: float = ROTATION_WEIGHT) -> Refined:
     """Descends from q (N, n) to local minima of the squared error, where every step decreases it.
 
     `pull` adds the squared distance from q0: it is the weight of a squared radian beside a squared reach from the target.
@@ -81,7 +81,7 @@ def refine(problem: Problem, q: Array, pull: float = 0.0, rotation_weight: float
     return Refined(chain.from_units(q), squared_error)
 
 
-def stay_near(problem: Problem, found: SearchResult) -> Array:
+def stay_near(problem: IkProblem, found: SearchResult) -> Array:
     """Solutions (N, n) nearer to q0, if the search jumped although the target is close to the tip at q0."""
     q = found.q
     if not found.jumped.any():
@@ -100,7 +100,7 @@ def stay_near(problem: Problem, found: SearchResult) -> Array:
     return q
 
 
-def best_effort(problem: Problem, q: Array) -> BestEffort:
+def best_effort(problem: IkProblem, q: Array) -> BestEffort:
     """The best approximations from q (N, n), the best configurations that the search met.
 
     The position comes first: if the tip cannot reach its point at all, it is as near to it as possible; else it is at its
@@ -123,7 +123,7 @@ def best_effort(problem: Problem, q: Array) -> BestEffort:
     return BestEffort(q, *problem.residuals(q), out_of_reach)
 
 
-def _at_point(problem: Problem, points: Problem, q: Array, at_point: Array) -> Array:
+def _at_point(problem: IkProblem, points: IkProblem, q: Array, at_point: Array) -> Array:
     """Configurations with the tip at its point and a locally least orientation error, near q (N, n) if a descent gets there.
 
     `at_point` (N, n) are configurations with the tip at its point, for descents that do not get there from q.

@@ -11,7 +11,7 @@ from armctl._core import SAME_SOLUTION, Constraint
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.plan.ik import lm
 from armctl.plan.ik.closed_form_solutions import MIN_SAMPLES, Solutions
-from armctl.plan.ik.problem import IkChain, Problem
+from armctl.plan.ik.problem import IkChain, IkProblem
 
 # Bound on the number of isolated configurations of six hinges in series (Primrose, "On the input-output equation of the general
 # 7R mechanism", Mech. Mach. Theory 21, 1986). Chains with fewer, because of special axes, have a closed form.
@@ -34,7 +34,7 @@ class _Found(NamedTuple):
     steps: int
 
 
-def numerical_solutions(problem: Problem, limit: int) -> Solutions:
+def numerical_solutions(problem: IkProblem, limit: int) -> Solutions:
     """The solutions of an arm without a closed form, or for a target that leaves turns open."""
     chain = problem.chain
     swept = swept_joints(chain, problem.constraint)
@@ -50,14 +50,14 @@ def numerical_solutions(problem: Problem, limit: int) -> Solutions:
     return _solutions_inside(problem, _Found(found.q, found.starts + starts, found.steps + steps), is_complete)
 
 
-def completed_solutions(problem: Problem, found: Solutions) -> Solutions:
+def completed_solutions(problem: IkProblem, found: Solutions) -> Solutions:
     """The solutions of an arm whose axes are only almost special: near singularities its closed form may miss some."""
     more = _find(problem, found.q, MAX_SOLUTIONS_6R, is_first=False)
     all_found = _Found(more.q, found.starts + more.starts, found.steps + more.steps)
     return _solutions_inside(problem, all_found, len(more.q) == MAX_SOLUTIONS_6R)
 
 
-def _solutions_inside(problem: Problem, found: _Found, is_complete: bool) -> Solutions:
+def _solutions_inside(problem: IkProblem, found: _Found, is_complete: bool) -> Solutions:
     """Those of the solutions found that are inside the limits, the nearest to q0 first."""
     chain = problem.chain
     q = _inside_limits(problem, found.q)
@@ -94,7 +94,7 @@ def swept_joints(chain: IkChain, constraint: Constraint) -> tuple[int, ...]:
     return max(itertools.combinations(range(n), n - rank), key=dexterity)
 
 
-def _sweep(problem: Problem, swept: tuple[int, ...], begin: Array, limit: int) -> _Found:
+def _sweep(problem: IkProblem, swept: tuple[int, ...], begin: Array, limit: int) -> _Found:
     """The solutions at sampled positions of the swept joints."""
     chain = problem.chain
     samples = max(MIN_SAMPLES, -(-limit // SOLUTIONS_PER_SAMPLE))
@@ -141,13 +141,13 @@ def _low_discrepancy(count: int, dimensions: int) -> Array:
     return out
 
 
-def _find(problem: Problem, begin: Array, bound: int, is_first: bool) -> _Found:
+def _find(problem: IkProblem, begin: Array, bound: int, is_first: bool) -> _Found:
     """Distinct solutions, at most `bound`, without regard to the limits of hinges; their whole turns are arbitrary.
 
     Descents begin at each row of `begin` (B, n); then at random configurations, in turns inside the bounds and within one turn;
     and in a first search at every solution with one joint turned by quarters.
     """
-    search = _Search(problem, bound)
+    search = _SolutionSearch(problem, bound)
     period = problem.chain.period
     patience = PATIENCE if is_first else SWEEP_PATIENCE
     q0 = np.ascontiguousarray(problem.chain.to_units(problem.q0)[0])
@@ -171,10 +171,10 @@ def _find(problem: Problem, begin: Array, bound: int, is_first: bool) -> _Found:
     return _Found(np.array(search.known).reshape(-1, len(q0)), search.starts, search.steps)
 
 
-class _Search:
+class _SolutionSearch:
     """The solutions that are known, and the descents that find new ones."""
 
-    def __init__(self, problem: Problem, bound: int):
+    def __init__(self, problem: IkProblem, bound: int):
         self._problem = problem
         self._bound = bound
         self.known: list[Array] = []
@@ -217,7 +217,7 @@ class _Search:
         return np.asarray(np.any(np.all(difference < SAME_SOLUTION, axis=2), axis=1))
 
 
-def _inside_limits(problem: Problem, q: Array) -> Array:
+def _inside_limits(problem: IkProblem, q: Array) -> Array:
     """Configurations (N, n) in rad: each hinge turned by whole turns to the position nearest to q0 inside the limits.
 
     Those for which there is none are left out.
@@ -242,7 +242,7 @@ def _max_solutions(chain: IkChain, constraint: Constraint) -> int:
     return MAX_SOLUTIONS_6R
 
 
-def _all_regular(problem: Problem, q: Array) -> bool:
+def _all_regular(problem: IkProblem, q: Array) -> bool:
     """Whether the Jacobian has full rank at each of the configurations (N, n), in the solver's units."""
     values = np.linalg.svd(np.array([_jacobian(problem.chain, problem.constraint, row) for row in q]), compute_uv=False)
     return bool((values[:, -1] > MIN_REGULAR_SINGULAR_VALUE).all())

@@ -89,7 +89,7 @@ class IkChain:
         return self.limits.clamp(q * self.unit) if self.has_slides else q
 
 
-class Problem(NamedTuple):
+class IkProblem(NamedTuple):
     """N targets for one arm, all with the same constraint."""
 
     arm: Arm
@@ -101,7 +101,7 @@ class Problem(NamedTuple):
     orientation_tolerance: float  # rad
     seed: int
 
-    def select(self, rows: IntArray) -> Problem:
+    def select(self, rows: IntArray) -> IkProblem:
         """The problem of some of the targets, given by their numbers (K,)."""
         return self._replace(targets=self.targets[rows], q0=self.q0[rows])
 
@@ -158,10 +158,10 @@ def read_problem(
     position_tolerance: float,
     orientation_tolerance: float,
     seed: int,
-) -> Problem:
+) -> IkProblem:
     """The problem of a call with targets (N, 12), checked; q0 is (n,), (N, n) or None for the arm's home."""
     chain = ik_chain(arm)
-    return Problem(
+    return IkProblem(
         arm,
         chain,
         constraint,

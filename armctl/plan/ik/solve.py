@@ -20,7 +20,7 @@ from armctl.model.collision.checkers import checkable
 from armctl.plan.ik import lm
 from armctl.plan.ik.closed_form_solutions import closed_form_solutions
 from armctl.plan.ik.numerical_solutions import numerical_solutions, swept_joints
-from armctl.plan.ik.problem import MIN_TOLERANCE, Problem, ik_chain, read_seed, read_start, read_target, read_tolerance
+from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, ik_chain, read_seed, read_start, read_target, read_tolerance
 from armctl.plan.ik.result import IkResult, failure_reason
 
 CONTACT_STARTS = 300  # in which a solution without contact must be found
@@ -31,7 +31,7 @@ _POSE = Constraint.POSE  # a global name is read faster than a member of an enum
 NEAREST_PULL = 1e-3  # squared reaches per squared radian: small, so that solutions remain solutions
 
 
-class Candidate(NamedTuple):
+class IkCandidate(NamedTuple):
     """A configuration that may be a solution, with the starts and iterations so far."""
 
     q: Array
@@ -91,7 +91,9 @@ def solve_ik(
         seed = read_seed(seed)
     if nearest is not False or avoid is not False:
         starts = read_start(arm, chain, q0)[None]
-        problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
+        problem = IkProblem(
+            arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed
+        )
         contact_at = checkable(arm).at if flag("avoid", avoid) else None
         candidates = _candidates(problem, stay_near=q0 is not None)
         if flag("nearest", nearest):
@@ -127,7 +129,7 @@ def solve_ik(
             branch=chain.branch_names[answer.branch],
         )
     starts = read_start(arm, chain, q0)[None]
-    problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
+    problem = IkProblem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
     if q0 is not None:
         found = lm.SearchResult(
             q=q[None],
@@ -137,13 +139,15 @@ def solve_ik(
             jumped=np.array([answer.jumped]),
         )
         q = lm.stay_near(problem, found)[0]
-    return _first_solution(problem, iter([Candidate(q, answer.next_start, answer.steps)]), None)
+    return _first_solution(problem, iter([IkCandidate(q, answer.next_start, answer.steps)]), None)
 
 
-def _first_solution(problem: Problem, candidates: Iterator[Candidate], contact_at: Callable[[Array], str] | None) -> IkResult:
+def _first_solution(
+    problem: IkProblem, candidates: Iterator[IkCandidate], contact_at: Callable[[Array], str] | None
+) -> IkResult:
     """The first candidate that is a solution, or else the best approximation."""
     in_contact: IkResult | None = None
-    candidate = Candidate(problem.q0[0], 0, 0)
+    candidate = IkCandidate(problem.q0[0], 0, 0)
     for candidate in candidates:
         position_error, orientation_error = problem.residual(candidate.q)
         if position_error > problem.position_tolerance or orientation_error > problem.orientation_tolerance:
@@ -168,7 +172,9 @@ def _first_solution(problem: Problem, candidates: Iterator[Candidate], contact_a
     return _result(problem, candidate._replace(q=effort.q[0]), position_error, orientation_error, reason)
 
 
-def _result(problem: Problem, candidate: Candidate, position_error: float, orientation_error: float, reason: str) -> IkResult:
+def _result(
+    problem: IkProblem, candidate: IkCandidate, position_error: float, orientation_error: float, reason: str
+) -> IkResult:
     """The result of a candidate; without a reason against it, it is a solution."""
     return IkResult(
         ok=not reason,
@@ -182,7 +188,7 @@ def _result(problem: Problem, candidate: Candidate, position_error: float, orien
     )
 
 
-def _candidates(problem: Problem, stay_near: bool) -> Iterator[Candidate]:
+def _candidates(problem: IkProblem, stay_near: bool) -> Iterator[IkCandidate]:
     """Solutions in the order they are found; the last may be a best approximation."""
     start = 0
     iterations = 0
@@ -191,10 +197,10 @@ def _candidates(problem: Problem, stay_near: bool) -> Iterator[Candidate]:
         q = lm.stay_near(problem, found) if start == 0 and stay_near else found.q
         start = int(found.next_start[0])
         iterations += int(found.iterations[0])
-        yield Candidate(q[0], start, iterations)
+        yield IkCandidate(q[0], start, iterations)
 
 
-def _nearest_candidates(problem: Problem) -> Iterator[Candidate]:
+def _nearest_candidates(problem: IkProblem) -> Iterator[IkCandidate]:
     """All solutions, the nearest first; with surplus joints a sample, pulled towards q0 while they remain solutions."""
     form = problem.chain.closed_form
     if form is not None and problem.constraint == Constraint.POSE:
@@ -222,4 +228,4 @@ def _nearest_candidates(problem: Problem) -> Iterator[Candidate]:
         starts = NEAREST_STARTS
         iterations = int(scattered.iterations.sum() + pulled.iterations.sum())
     for k in np.argsort(np.linalg.norm(solutions - problem.q0, axis=1), kind="stable"):
-        yield Candidate(solutions[k], starts, iterations)
+        yield IkCandidate(solutions[k], starts, iterations)

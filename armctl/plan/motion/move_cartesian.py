@@ -20,7 +20,7 @@ from armctl.model.arm.arm import Arm
 from armctl.plan.ik.all_solutions import solve_ik_all
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.moving_start import planned_from
-from armctl.plan.motion.path.geometry import Blend, Circle, CompositePath, Shape, Straight, SubPath, Turn
+from armctl.plan.motion.path.geometry import Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn
 from armctl.plan.motion.path.joint_path import JointPath, joint_path_along
 from armctl.plan.motion.path.tip_caps import TipCaps
 from armctl.plan.motion.sections import Section, is_limited, pause, within_sections
@@ -316,7 +316,7 @@ def _require_limits(arm: Arm, what: str, motion: JointTrajectory) -> None:
 class _Leg(NamedTuple):
     """A shape, the radius of the corner at its end, and what holds on it."""
 
-    shape: Shape
+    shape: PathSegment
     blend: float
     section: Section
 
@@ -330,8 +330,8 @@ class _Chain(NamedTuple):
     dwell: float
 
 
-def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]:
-    shapes: list[Shape] = []
+def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[PathSegment]:
+    shapes: list[PathSegment] = []
     position = start.position
     rotation = start.rotation
     for part in parts:
@@ -363,7 +363,7 @@ def _point(name: str, place: Pose | ArrayLike) -> Array:
 def _chains(legs: list[_Leg]) -> list[_Chain]:
     """What is gone through without stopping: stretches of the shapes, and blends between them."""
     chains: list[_Chain] = []
-    shapes: list[Shape] = []
+    shapes: list[PathSegment] = []
     ends: list[float] = []
     sections: list[Section] = []
     begin = 0.0

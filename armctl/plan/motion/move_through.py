@@ -20,7 +20,7 @@ from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.sections import Via, is_limited, pause, within_sections
 from armctl.plan.motion.timing.otg import slowed_to_bounds, straight_rest_to_rest
 from armctl.plan.motion.timing.waypoint_path import Passage, along_smooth_paths, may_be_smooth, straight_runs
-from armctl.plan.motion.timing.waypoint_timing import Candidate, WaypointSearch
+from armctl.plan.motion.timing.waypoint_timing import TimingCandidate, WaypointSearch
 from armctl.plan.motion.torque_limits import slowed_relative_to, within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, joined
 from armctl.plan.motion.trajectory.limit_check import is_inside
@@ -145,7 +145,7 @@ def _shortest(passages: Sequence[Passage | None]) -> Passage | None:
     return min((each for each in passages if each is not None), key=lambda each: each.times[-1], default=None)
 
 
-def _within_limits(search: WaypointSearch, candidate: Candidate) -> Passage | None:
+def _within_limits(search: WaypointSearch, candidate: TimingCandidate) -> Passage | None:
     """The motion of a candidate of the search; None if rounding takes it out of its limits."""
     try:
         return _inside(search.passage(candidate), search.limits)

@@ -147,7 +147,7 @@ def optimize(
     given_clearance = clearance_of(space.checker, motion, space.clearance)
     if not given_clearance.ok:
         raise PlanError(f"motion: {given_clearance.reason}; plan it with move_free, or take a smaller clearance")
-    search = _Search(arm, motion, weights, space)
+    search = _MotionSearch(arm, motion, weights, space)
     search.run(integer("evaluations", evaluations, 1), np.random.default_rng(seed))
     gained = search.cost < 1.0 - _MIN_GAIN
     best = search.motion if gained else motion
@@ -167,7 +167,7 @@ class _SpentError(Exception):
     """All evaluations are made."""
 
 
-class _Search:
+class _MotionSearch:
     """The search of `optimize`, and the best motion that it found."""
 
     def __init__(self, arm: Arm, motion: JointTrajectory, weights: Array, space: FreeSpace):

@@ -14,7 +14,7 @@ from armctl.plan.motion.checks import limits_from
 from armctl.plan.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.plan.motion.torque_limits import InverseDynamics
 from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE, each_inside, is_inside
-from armctl.plan.motion.trajectory.piecewise import Pieces, Samples, basis, hermite, joined, quintics, sample
+from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, basis, hermite, joined, quintics, sample
 from armctl.plan.stream.timed_targets import Knots
 
 if TYPE_CHECKING:
@@ -95,10 +95,10 @@ class CommittedMotion:
     def _followed(self, start: JointState, now: float, knots: Knots) -> Iterator[tuple[Pieces, int]]:
         """Smooth ways to and along the wanted states, as far as they keep the limits, each with the number of the next one."""
         t = knots.t - now
-        states = Samples(*knots[1:4])
+        states = JointSamples(*knots[1:4])
         first = np.array([join.start for join in knots.joins], dtype=np.int64)
-        starts = Samples(*(np.tile(x, (len(first), 1)) for x in start))
-        joining = quintics(t[first], starts, Samples(*(x[first] for x in states)))
+        starts = JointSamples(*(np.tile(x, (len(first), 1)) for x in start))
+        joining = quintics(t[first], starts, JointSamples(*(x[first] for x in states)))
         gentle = np.abs(6.0 * joining[:, 3]) <= (1 + RATIO_TOLERANCE) * self._limits.j_max  # the jerk at the start
         possible = np.flatnonzero(gentle.all(axis=1))
         if not len(possible):

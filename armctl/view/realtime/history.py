@@ -32,15 +32,15 @@ class History:
             self._values[row] = (to_target, to_reference, *torque_share)
             self._next = (row + 1) % len(self._t)
 
-    def read(self) -> Samples:
+    def read(self) -> HistorySamples:
         """All samples, oldest first; NaN for times before the session began."""
         with self._lock:
             order = np.roll(np.arange(len(self._t)), -self._next)
             values = self._values[order]
-            return Samples(self._t[order], values[:, 0], values[:, 1], values[:, 2:])
+            return HistorySamples(self._t[order], values[:, 0], values[:, 1], values[:, 2:])
 
 
-class Samples(NamedTuple):
+class HistorySamples(NamedTuple):
     """Columns of a history."""
 
     t: Array  # (T,) s

@@ -29,7 +29,7 @@ class PathPoint(NamedTuple):
     twist: Array  # (6,) how both change with the length: linear, then angular in world axes
 
 
-class Shape(Protocol):
+class PathSegment(Protocol):
     """One stretch of a tip's path: its length, m, and the place at a length."""
 
     @property
@@ -122,8 +122,8 @@ class Blend:
     orientation and their first three derivatives.
     """
 
-    before: Shape  # the shape that ends at the corner
-    after: Shape  # the shape that starts there
+    before: PathSegment  # the shape that ends at the corner
+    after: PathSegment  # the shape that starts there
     radius: float  # m, along both
 
     @property
@@ -146,7 +146,7 @@ class Blend:
 class SubPath:
     """Part of a shape."""
 
-    shape: Shape
+    shape: PathSegment
     start: float  # m, where it begins on it
     end: float  # m, where it ends
 
@@ -161,7 +161,7 @@ class SubPath:
 class CompositePath:
     """Shapes one after another."""
 
-    def __init__(self, shapes: list[Shape]):
+    def __init__(self, shapes: list[PathSegment]):
         """Shapes, each of which starts where the one before it ends."""
         self._shapes = [shape for shape in shapes if shape.length > _MIN_LENGTH]
         self.ends = np.cumsum([shape.length for shape in self._shapes])

@@ -22,7 +22,7 @@ from armctl.core.pose import rotation_angle
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.plan.ik.solve import solve_ik
-from armctl.plan.motion.path.geometry import Shape
+from armctl.plan.motion.path.geometry import PathSegment
 
 _MAX_JOINT_STEP = 0.02  # rad (m), of any joint
 _MIN_STEPS = 60  # of a path
@@ -46,7 +46,7 @@ class JointPath(NamedTuple):
         return tuple(self.spline(s, order) for order in range(4))  # type: ignore[operator, return-value]
 
 
-def joint_path_along(arm: Arm, what: str, path: Shape, q_start: Array, oriented: bool) -> JointPath:
+def joint_path_along(arm: Arm, what: str, path: PathSegment, q_start: Array, oriented: bool) -> JointPath:
     """The joints that keep the tip on a path, which starts at q_start; with its orientation if `oriented`.
 
     Raises PlanError where it leaves the reach or the limits, or passes a singularity that the joints cannot. `what` is planned.
@@ -91,7 +91,7 @@ def _walked(tracker: _Tracker, q_start: Array) -> JointPath:
 class _Tracker:
     """One walk along a path."""
 
-    def __init__(self, arm: Arm, what: str, path: Shape, oriented: bool, centering: float):
+    def __init__(self, arm: Arm, what: str, path: PathSegment, oriented: bool, centering: float):
         self.arm = arm
         self.what = what
         self.path = path

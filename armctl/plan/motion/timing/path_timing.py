@@ -132,7 +132,7 @@ def time_optimal(path: Path, limits: Limits, caps: Caps | None = None, knots: Ar
     At `knots` (k,), lengths, its third derivative may jump, and the motion is exactly on the path.
     """
     inner = np.empty(0) if knots is None else knots[1:-1]
-    problem = _Problem(path, limits, caps)
+    problem = _TimingProblem(path, limits, caps)
     timing = initial_timing(path, limits)
     timed = problem.timed(problem.sampled(_Places.of(timing, _merged(timing.edges, timing.times_at(inner)))))
     refined = _refined(timed, intervals_for(timed.t[-1]))
@@ -149,7 +149,7 @@ def slowed_down(
     """
     caps = Fractions(np.array([path.length]), np.ones(1), np.ones(1)) if fractions is None else fractions
     intervals = intervals_for(path.length)
-    return _tightened(_Problem(path, limits, caps, torques), Timing(path.length / intervals, intervals, None), knots)
+    return _tightened(_TimingProblem(path, limits, caps, torques), Timing(path.length / intervals, intervals, None), knots)
 
 
 def intervals_for(duration: float) -> int:
@@ -157,7 +157,7 @@ def intervals_for(duration: float) -> int:
     return max(_MIN_INTERVALS, min(_MAX_INTERVALS, math.ceil(duration / _INTERVAL_S)))
 
 
-def _tightened(problem: _Problem, timing: Timing, knots: Array) -> Pieces:
+def _tightened(problem: _TimingProblem, timing: Timing, knots: Array) -> Pieces:
     """The best path speed for a timing, cut at knots too, its bounds tightened where it exceeds them between the nodes."""
     sampled = problem.sampled(_Places.of(timing, _merged(timing.edges, knots)))
     slack = np.ones((4, len(sampled.places.nodes)))
@@ -243,7 +243,7 @@ class _Timed(NamedTuple):
         return pieces
 
 
-class _Problem:
+class _TimingProblem:
     """A path and all bounds on its speed."""
 
     def __init__(self, path: Path, limits: Limits, caps: Caps | None, torques: Torques | None = None):

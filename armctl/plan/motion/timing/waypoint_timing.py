@@ -27,7 +27,7 @@ _MAX_SECTION_EXCESS = 0.2  # over the limits, by rounding in very short sections
 _REPAIR_FACTOR = 0.8  # by which a repair lowers velocity and acceleration at a waypoint
 
 
-class Candidate(NamedTuple):
+class TimingCandidate(NamedTuple):
     """A motion through the waypoints."""
 
     v: Array  # (k, n) rad/s, the velocities there
@@ -51,16 +51,16 @@ class WaypointSearch:
         for bound in (self._v_bound, self._a_bound):
             bound[[0, -1]] = 0.0
 
-    def stopping(self) -> Candidate:
+    def stopping(self) -> TimingCandidate:
         zero = np.zeros_like(self.q)
         candidate = self._evaluate(zero, zero)
         if candidate is not None:
             return candidate
         # Ruckig fails for a section; a straight line in closed form cannot.
         durations = [float(section.knots[-1]) for section in self._sections(zero, zero)]
-        return Candidate(zero, zero, np.array(durations), np.full((len(durations), self.q.shape[1]), -np.inf))
+        return TimingCandidate(zero, zero, np.array(durations), np.full((len(durations), self.q.shape[1]), -np.inf))
 
-    def fastest(self, stopping: Candidate, near: Passage | None = None) -> Candidate:
+    def fastest(self, stopping: TimingCandidate, near: Passage | None = None) -> TimingCandidate:
         """The fastest motion that the search finds inside all limits; `stopping` if none is faster.
 
         The search starts from stopping at each waypoint, or near a motion that is fast already.
@@ -94,7 +94,7 @@ class WaypointSearch:
                 a_bound[k : k + 2, i] = _REPAIR_FACTOR * np.abs(a[k : k + 2, i])
         return stopping
 
-    def _slow(self, stopping: Candidate) -> Array:
+    def _slow(self, stopping: TimingCandidate) -> Array:
         """(k, 2 n + 1) where the search starts, far inside all bounds."""
         motion = np.zeros((len(self.q), 2 * self.q.shape[1] + 1))
         motion[:-1, -1] = _INITIAL_TIME_FACTOR * stopping.durations
@@ -109,7 +109,7 @@ class WaypointSearch:
         motion[:-1, -1] = _NEAR_TIME_FACTOR * np.diff(near.times)
         return motion
 
-    def passage(self, candidate: Candidate) -> Passage:
+    def passage(self, candidate: TimingCandidate) -> Passage:
         """The motion of a candidate. Raises PlanError if a section cannot be computed accurately."""
         return passage_of(self._sections(candidate.v, candidate.a))
 
@@ -117,7 +117,7 @@ class WaypointSearch:
         states = [JointState(*state) for state in zip(self.q, v, a, strict=True)]
         return [solve_pieces(self._solver, start, goal, _MAX_SECTION_EXCESS) for start, goal in pairwise(states)]
 
-    def _evaluate(self, v: Array, a: Array) -> Candidate | None:
+    def _evaluate(self, v: Array, a: Array) -> TimingCandidate | None:
         """The motion with these velocities and accelerations (k, n) at the waypoints; None if ruckig finds none."""
         durations = []
         phases = []
@@ -131,4 +131,4 @@ class WaypointSearch:
         swing = polynomial_extremes(phase_polynomials(nodes))[1].reshape(*nodes.q.shape, -1)
         high = swing.max(axis=(0, 3))
         low = swing.min(axis=(0, 3))
-        return Candidate(v, a, np.array(durations), np.maximum(high - self.limits.q_max, self.limits.q_min - low))
+        return TimingCandidate(v, a, np.array(durations), np.maximum(high - self.limits.q_max, self.limits.q_min - low))

@@ -15,13 +15,13 @@ from armctl.core.errors import InputError
 from armctl.core.file_reading import read_npz, reading
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, shown
-from armctl.plan.motion.trajectory.piecewise import Pieces, Samples, check_continuous, check_pieces
+from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, check_continuous, check_pieces
 
 _FORMAT = 1
 _MAX_BYTES = 2**30  # unpacked: three million pieces of seven joints; more is taken for a damaged or hostile archive
 
 
-class Content(NamedTuple):
+class TrajectoryContent(NamedTuple):
     """What a trajectory file holds; `slowed` is empty or the three fields of a slowdown as text."""
 
     pieces: Pieces
@@ -41,7 +41,7 @@ def checked_path(path: str | os.PathLike[str], suffix: str, other: str) -> Path:
     return file
 
 
-def save(path: str | os.PathLike[str], content: Content) -> Path:
+def save(path: str | os.PathLike[str], content: TrajectoryContent) -> Path:
     file = checked_path(path, ".npz", "to_csv")
     with atomic_path(file) as temporary:
         np.savez(
@@ -57,14 +57,14 @@ def save(path: str | os.PathLike[str], content: Content) -> Path:
     return file
 
 
-def load(path: str | os.PathLike[str]) -> Content:
+def load(path: str | os.PathLike[str]) -> TrajectoryContent:
     """Reads a trajectory file; raises InputError for a missing file and for any content that is not a motion."""
     file = file_path("path", path)
     with reading(file, "no trajectory that armctl wrote"):
         return _content(read_npz(file, _MAX_BYTES))
 
 
-def _content(data: Mapping[str, Any]) -> Content:
+def _content(data: Mapping[str, Any]) -> TrajectoryContent:
     if data["format"].shape != () or data["format"] != _FORMAT:
         raise InputError(f"its format is not {_FORMAT}")
     names = _texts(data, "joint_names")
@@ -78,7 +78,7 @@ def _content(data: Mapping[str, Any]) -> Content:
     pieces = Pieces(_numbers(data, "knots"), _numbers(data, "coefficients"))
     check_pieces(pieces.knots, pieces.coefficients, len(names))
     check_continuous(pieces, names)
-    return Content(pieces, names, joint_units, limits, slowed)
+    return TrajectoryContent(pieces, names, joint_units, limits, slowed)
 
 
 def _texts(data: Mapping[str, Any], name: str) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ def _numbers(data: Mapping[str, Any], name: str) -> Array:
     return value
 
 
-def save_table(path: str | os.PathLike[str], joint_names: Sequence[str], times: Array, samples: Samples) -> Path:
+def save_table(path: str | os.PathLike[str], joint_names: Sequence[str], times: Array, samples: JointSamples) -> Path:
     """Writes samples as CSV: t, then q, v and a of each joint, named in the first row."""
     file = checked_path(path, ".csv", "save")
     names = [f"{kind}_{joint}" for kind in "qva" for joint in joint_names]
@@ -107,7 +107,9 @@ def save_table(path: str | os.PathLike[str], joint_names: Sequence[str], times: 
     return file
 
 
-def plot(content: Content, times: Array, samples: Samples, jerk: Array, path: str | os.PathLike[str] | None) -> object:
+def plot(
+    content: TrajectoryContent, times: Array, samples: JointSamples, jerk: Array, path: str | os.PathLike[str] | None
+) -> object:
     """Matplotlib's figure of position, velocity, acceleration and jerk (T, n) of every joint, saved if there is a path."""
     from matplotlib.figure import Figure
 

@@ -21,7 +21,7 @@ from armctl.model.arm.arm import Arm, check_arm
 from armctl.plan.motion.trajectory import files, piecewise, ros
 from armctl.plan.motion.trajectory.limit_check import QUANTITIES, LimitCheck, check_limits
 from armctl.plan.motion.trajectory.path_stop import speed_changed, stopped
-from armctl.plan.motion.trajectory.piecewise import Pieces, Samples, basis, join_gaps
+from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, basis, join_gaps
 
 _MAX_TABLE_ROWS = 10_000_000  # of a CSV file; a longer one is taken for a mistake in dt
 _PLOT_SAMPLES = 1000
@@ -273,7 +273,7 @@ class JointTrajectory:
             ArmctlError: The file cannot be written.
         """
         times = self._table_times(dt)
-        return files.save_table(path, self.joint_names, times, Samples(*self.sample(times)[:3]))
+        return files.save_table(path, self.joint_names, times, JointSamples(*self.sample(times)[:3]))
 
     def to_ros(self, path: str | os.PathLike[str], dt: float = 0.01) -> Path:
         """Writes samples as a ROS message of type trajectory_msgs/JointTrajectory, with velocities and accelerations.
@@ -288,7 +288,7 @@ class JointTrajectory:
             ArmctlError: The file cannot be written.
         """
         times = self._table_times(dt)
-        return ros.save(path, ros.message(self.joint_names, times, Samples(*self.sample(times)[:3])))
+        return ros.save(path, ros.message(self.joint_names, times, JointSamples(*self.sample(times)[:3])))
 
     @staticmethod
     def from_ros(source: str | os.PathLike[str] | Mapping[str, Any], arm: Arm) -> JointTrajectory:
@@ -338,13 +338,13 @@ class JointTrajectory:
             ArmctlError: The file cannot be written.
         """
         times = self._times(max(self.duration / _PLOT_SAMPLES, 1e-9))
-        return files.plot(self._content, times, Samples(*self.sample(times)[:3]), self.jerk(times), path)
+        return files.plot(self._content, times, JointSamples(*self.sample(times)[:3]), self.jerk(times), path)
 
     @property
-    def _content(self) -> files.Content:
+    def _content(self) -> files.TrajectoryContent:
         slowed = () if self.slowed is None else (self.slowed.factor, self.slowed.joint, self.slowed.torque_ratio)
         texts = tuple(str(value) for value in slowed)
-        return files.Content(self.pieces, self.joint_names, self.units, self.limits, texts)
+        return files.TrajectoryContent(self.pieces, self.joint_names, self.units, self.limits, texts)
 
     def _table_times(self, dt: float) -> Array:
         """Times of the rows of a table, as many as are sensible in a file."""

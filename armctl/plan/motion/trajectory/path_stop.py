@@ -14,8 +14,8 @@ from armctl.core.limits import Limits
 from armctl.core.validation import Array, BoolArray
 from armctl.plan.motion.trajectory.limit_check import REST_SPEED, is_inside, stretch_needed
 from armctl.plan.motion.trajectory.piecewise import (
+    JointSamples,
     Pieces,
-    Samples,
     hermite,
     joined,
     knots_of,
@@ -130,7 +130,7 @@ def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, fi
     return hermite(length * x, *samples) if _keeps(samples.a, limits).all() else None
 
 
-def _retimed(pieces: Pieces, begin: float, lengths: Array, law: _Deceleration) -> Samples:
+def _retimed(pieces: Pieces, begin: float, lengths: Array, law: _Deceleration) -> JointSamples:
     """The motion from `begin` on, with a path speed that changes in each of the lengths (..., 1): (..., T, n)."""
     times = np.minimum(begin + lengths * law.progress, pieces.knots[-1])
     samples = sample(pieces, times.ravel())
@@ -138,7 +138,7 @@ def _retimed(pieces: Pieces, begin: float, lengths: Array, law: _Deceleration) -
     v = samples.v.reshape(shape)
     w = law.speed[:, None]
     slope = (law.slope / lengths)[..., None]
-    return Samples(samples.q.reshape(shape), v * w, samples.a.reshape(shape) * w**2 + v * slope)
+    return JointSamples(samples.q.reshape(shape), v * w, samples.a.reshape(shape) * w**2 + v * slope)
 
 
 def _keeps(a: Array, limits: Limits) -> BoolArray:

@@ -20,7 +20,7 @@ class Pieces(NamedTuple):
     coefficients: Array  # (m, 6, n)
 
 
-class Samples(NamedTuple):
+class JointSamples(NamedTuple):
     """Positions, velocities and accelerations, each (T, n)."""
 
     q: Array
@@ -37,10 +37,10 @@ def standing(q: Array) -> Pieces:
 
 def hermite(t: Array, q: Array, v: Array, a: Array) -> Pieces:
     """Quintic pieces that have positions q, velocities v and accelerations a, each (m + 1, n), at the times t (m + 1,)."""
-    return Pieces(t, quintics(np.diff(t), Samples(q[:-1], v[:-1], a[:-1]), Samples(q[1:], v[1:], a[1:])))
+    return Pieces(t, quintics(np.diff(t), JointSamples(q[:-1], v[:-1], a[:-1]), JointSamples(q[1:], v[1:], a[1:])))
 
 
-def quintics(durations: Array, start: Samples, end: Samples) -> Array:
+def quintics(durations: Array, start: JointSamples, end: JointSamples) -> Array:
     """(m, 6, n) polynomials of degree five that lead from m states to m others in some durations (m,).
 
     scipy's `BPoly.from_derivatives` computes the same, but takes 60 to 100 times as long (measured): it loops over the pieces.
@@ -68,14 +68,14 @@ def locate(knots: Array, times: Array) -> tuple[Array, IntArray]:
     return inside, np.clip(np.searchsorted(knots, inside, side="right"), 1, len(knots) - 1) - 1
 
 
-def sample(pieces: Pieces, times: Array) -> Samples:
+def sample(pieces: Pieces, times: Array) -> JointSamples:
     """Position, velocity and acceleration at many times (T,), clamped to the motion; outside it, the arm stands still."""
     inside, k = locate(pieces.knots, times)
     q, v, a = np.einsum("otc,tcn->otn", basis_many(inside - pieces.knots[k]), pieces.coefficients[k])
     outside = times != inside
     v[outside] = 0.0
     a[outside] = 0.0
-    return Samples(q, v, a)
+    return JointSamples(q, v, a)
 
 
 def jerk(pieces: Pieces, times: Array) -> Array:

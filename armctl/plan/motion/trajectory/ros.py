@@ -13,7 +13,7 @@ from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError, import_extra
 from armctl.core.file_reading import read_bytes, reading
 from armctl.core.validation import Array, integer, number, shown, vector
-from armctl.plan.motion.trajectory.piecewise import Pieces, Samples, hermite, standing
+from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, hermite, standing
 
 ENDINGS = (".json", ".yaml", ".yml")
 _MAX_BYTES = 200_000_000
@@ -42,7 +42,7 @@ class Waypoints(NamedTuple):
     a: Array | None
 
 
-def message(joint_names: Sequence[str], times: Array, samples: Samples) -> dict[str, Any]:
+def message(joint_names: Sequence[str], times: Array, samples: JointSamples) -> dict[str, Any]:
     """The message as nested tables and lists, as `rosidl_runtime_py.set_message_fields` takes it."""
     points = []
     for time, q, v, a in zip(times.tolist(), *(column.tolist() for column in samples), strict=True):
