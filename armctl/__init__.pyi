@@ -91,8 +91,8 @@ from .lab.loops.tuning import tune as tune
 from .lab.study.factors import Choice as Choice
 from .lab.study.factors import Normal as Normal
 from .lab.study.factors import Range as Range
-from .lab.study.result import StudyResult as StudyResult
 from .lab.study.study import Study as Study
+from .lab.study.study_result import StudyResult as StudyResult
 from .model.arm.actuation import Actuation as Actuation
 from .model.arm.arm import Arm as Arm
 from .model.collision.clearance import ClearanceCheck as ClearanceCheck
@@ -103,13 +103,13 @@ from .model.loading.load import load as load
 from .model.loading.load import load_arms as load_arms
 from .model.loading.scene import Scene as Scene
 from .plan.ik.all_solutions import solve_ik_all as solve_ik_all
-from .plan.ik.batch import solve_ik_batch as solve_ik_batch
 from .plan.ik.differential import DifferentialIk as DifferentialIk
+from .plan.ik.ik_result import IkBatch as IkBatch
+from .plan.ik.ik_result import IkResult as IkResult
 from .plan.ik.reachability import Reachability as Reachability
 from .plan.ik.reachability import reachability as reachability
-from .plan.ik.result import IkBatch as IkBatch
-from .plan.ik.result import IkResult as IkResult
 from .plan.ik.solve import solve_ik as solve_ik
+from .plan.ik.solve_batch import solve_ik_batch as solve_ik_batch
 from .plan.motion.input_shaping import shape_motion as shape_motion
 from .plan.motion.iterative_learning import IterativeLearning as IterativeLearning
 from .plan.motion.move_cartesian import Arc as Arc

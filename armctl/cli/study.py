@@ -14,7 +14,7 @@ from armctl.cli import common
 from armctl.core.errors import InputError, import_extra
 
 if TYPE_CHECKING:
-    from armctl.lab.study.result import StudyResult
+    from armctl.lab.study.study_result import StudyResult
 
 _CONNECT_TIMEOUT_S = 30
 

@@ -16,8 +16,8 @@ from synthetic import arm_with_gripper, short_arm_with_jaw
 import armctl
 import armctl.gym
 from armctl.gym.experts import planned
-from armctl.gym.experts.interface import within_step
-from armctl.gym.tasks.table import find_table
+from armctl.gym.experts.expert import within_step
+from armctl.gym.tasks.tabletop import find_table
 from armctl.gym.tasks.tool import Tool, find_tool
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.move_j import move_j

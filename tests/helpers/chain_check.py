@@ -14,7 +14,7 @@ from armctl.model.arm.parity import PARITY_TOLERANCE, check_parity
 from armctl.model.collision.checkers import collision_checker
 from armctl.model.loading.chain import SerialChain
 from armctl.model.loading.load import chains, load_arms
-from armctl.plan.ik.batch import solve_ik_batch
+from armctl.plan.ik.solve_batch import solve_ik_batch
 from armctl.plan.motion.move_j import move_j
 from armctl.run.sim.simulate import simulate
 

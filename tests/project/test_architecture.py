@@ -6,7 +6,7 @@
 import ast
 import subprocess
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -151,6 +151,16 @@ def test_a_class_name_means_one_class():
 
 def test_a_private_class_name_counts_as_the_public_one():
     assert class_names("class _Stream: pass\nclass Stream:\n    class _Row: pass") == ["Stream", "Stream", "Row"]
+
+
+# Files of one name that are being divided. A row goes when one of them has another name.
+SHARED_FILE_NAMES = {"interface", "simulated_arms"}
+
+
+def test_a_file_name_means_one_topic():
+    """A file of `cli` may have the name of its command, which is that of what it runs."""
+    stems = Counter(Path(module).stem for module in SOURCES if not module.startswith("cli/"))
+    assert {stem for stem, count in stems.items() if count > 1 and not stem.startswith("__")} == SHARED_FILE_NAMES
 
 
 def test_tests_import_no_private_names():

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from armctl.core.errors import InputError
 from armctl.core.validation import shown
 from armctl.gym.arm_env import ArmEnv
-from armctl.gym.experts.interface import Expert
-from armctl.gym.experts.pick_place import PickPlaceExpert
+from armctl.gym.experts.expert import Expert
+from armctl.gym.experts.pick_place_expert import PickPlaceExpert
 from armctl.gym.experts.planned import ReachExpert, ReachPastExpert, TrackExpert
-from armctl.gym.experts.push import PushExpert
+from armctl.gym.experts.push_expert import PushExpert
 from armctl.gym.vector_env import ArmVectorEnv
 
 EXPERTS: dict[str, type[Expert]] = {

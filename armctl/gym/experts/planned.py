@@ -11,7 +11,7 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.target import Target
 from armctl.core.validation import Array
-from armctl.gym.experts.interface import Command, Expert, action_towards, max_turns, within_step
+from armctl.gym.experts.expert import Command, Expert, action_towards, max_turns, within_step
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import collision_checker

@@ -23,7 +23,7 @@ from armctl.gym.jax.control import (
     pd,
     tick_reference,
 )
-from armctl.gym.jax.dynamics import forward_dynamics, gravity, inverse_dynamics, mass_matrix, tip_jacobian, tip_pose
+from armctl.gym.jax.equations_of_motion import forward_dynamics, gravity, inverse_dynamics, mass_matrix, tip_jacobian, tip_pose
 
 __all__ = [
     "ArmModel",

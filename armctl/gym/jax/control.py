@@ -16,7 +16,14 @@ from armctl.core.errors import InputError
 from armctl.core.trajectory import TickReference, Trajectory, check_trajectory
 from armctl.core.validation import flag, instance, integer, number
 from armctl.gym.jax.arm_model import ArmModel, checked
-from armctl.gym.jax.dynamics import cholesky_solve, dry_friction, inverse_dynamics, mass_matrix, tip_jacobian, tip_pose
+from armctl.gym.jax.equations_of_motion import (
+    cholesky_solve,
+    dry_friction,
+    inverse_dynamics,
+    mass_matrix,
+    tip_jacobian,
+    tip_pose,
+)
 
 # Below this sine of half an angle, the rotation vector follows from a series: the next term is below 1e-16.
 _SMALL_SINE = 1e-4

@@ -5,7 +5,7 @@ import numpy as np
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array
 from armctl.gym.tasks.interface import ArmSource, Episode, Task
-from armctl.gym.tasks.table import Cylinder, find_table, load_at_table
+from armctl.gym.tasks.tabletop import Cylinder, find_table, load_at_table
 from armctl.gym.tasks.tool import find_grip, find_tool, jaw_center
 from armctl.plan.ik.problem import ik_chain
 

@@ -30,7 +30,7 @@ from armctl.lab.study.bench import (
 )
 from armctl.lab.study.factors import examples
 from armctl.lab.study.plan import StudyPlan
-from armctl.lab.study.result import StudyResult, study_result
+from armctl.lab.study.study_result import StudyResult, study_result
 from armctl.run.sim.simulate import processors
 
 # A run takes 1 to 20 ms and a task of a cluster costs about 1.5 ms; a chunk is what is lost if its worker dies.

@@ -11,8 +11,8 @@ import numpy as np
 from armctl._core import Approach, ClearanceProof, CollisionScene, Hit
 from armctl.core.errors import InputError, ModelError, UnknownNameError, few_names
 from armctl.core.validation import Array, BoolArray
-from armctl.model.collision.geometry import Geometry, build_geometry, colliding_pairs, is_convex
-from armctl.model.collision.interface import KeptAxis, MovingJoints, NearPairs
+from armctl.model.collision.collision_geometry import Geometry, build_geometry, colliding_pairs, is_convex
+from armctl.model.collision.moving_joints import KeptAxis, MovingJoints, NearPairs
 from armctl.model.mjmodel.queries import (
     acts,
     geom_owner_name,

@@ -11,7 +11,7 @@ from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, number, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker, allowed_geoms
-from armctl.model.collision.interface import KeptAxis, MovingJoints
+from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
 
 
 def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:

@@ -16,7 +16,7 @@ from armctl.core.validation import Array, number
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
-from armctl.model.collision.interface import KeptAxis
+from armctl.model.collision.moving_joints import KeptAxis
 
 _NO_PAIRS_M = np.inf
 _UNKNOWN = np.nan

@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.note import Note
 from armctl.core.validation import shown
 from armctl.model.loading.catalog import Source
-from armctl.model.loading.limits import torque_range
+from armctl.model.loading.joint_limits import torque_range
 from armctl.model.mjmodel.dc_motor import DcMotor, dc_motor, is_dc_motor
 from armctl.model.mjmodel.queries import Joints, actuator_name, is_powerless, joint_name
 from armctl.model.mjmodel.sensor_timing import sensor_timing

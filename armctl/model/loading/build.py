@@ -11,9 +11,9 @@ from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.arm import Arm, Recipe
 from armctl.model.arm.joint_map import JointMap
 from armctl.model.arm.pinocchio_model import build_pinocchio_model
-from armctl.model.loading.describe import ArmPlan
+from armctl.model.loading.arm_plan import ArmPlan
 from armctl.model.loading.home import home_controls, home_qpos
-from armctl.model.loading.limits import joint_limits
+from armctl.model.loading.joint_limits import joint_limits
 from armctl.model.mjmodel.target_marker import set_target_start
 
 _TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached

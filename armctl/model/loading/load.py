@@ -23,10 +23,10 @@ from armctl.core.validation import flag, instance, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.arm.parity import check_parity
 from armctl.model.loading.added_shapes import CAPSULES, VISUAL, add_shapes, read_shapes, visual_links
+from armctl.model.loading.arm_plan import ArmEnds, ArmPlan, describe_arms, find_ends
 from armctl.model.loading.build import make_arms
 from armctl.model.loading.catalog import Source, locate
 from armctl.model.loading.chain import SerialChain, all_chains
-from armctl.model.loading.describe import ArmEnds, ArmPlan, describe_arms, find_ends
 from armctl.model.loading.home import home_qpos, remove_free_joints
 from armctl.model.loading.inertias import corrected_model
 from armctl.model.loading.link_shapes import fixed_without_shape, names_of, unchecked_links

@@ -8,8 +8,8 @@ import mujoco
 
 from armctl.core.note import Note
 from armctl.model.loading.actuators import mend_solver
+from armctl.model.loading.arm_plan import ArmPlan
 from armctl.model.loading.catalog import Source
-from armctl.model.loading.describe import ArmPlan
 from armctl.model.loading.motors import adapt_keyframes, make_motors, make_motors_in_model
 from armctl.model.loading.neighbor_contacts import overlapping_neighbors, touching_links, unavoidable_contacts
 from armctl.model.mjmodel.edit import add_payload_bodies, payload_body

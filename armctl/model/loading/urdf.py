@@ -14,7 +14,7 @@ from armctl.core.errors import ModelError
 from armctl.core.note import Note
 from armctl.core.validation import shown
 from armctl.model.loading.inertias import correct_inertias, inferred_inertias
-from armctl.model.loading.limits import JointData, default_speed
+from armctl.model.loading.joint_limits import JointData, default_speed
 from armctl.model.loading.urdf_file import UrdfFile
 from armctl.model.mjmodel.queries import joint_name
 from armctl.model.mjmodel.transmissions import Transmission

@@ -16,9 +16,9 @@ from armctl.core.validation import flag, frozen, integer
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import checkable
 from armctl.plan.ik.closed_form_solutions import Solutions, closed_form_solutions
+from armctl.plan.ik.ik_result import BATCH_ARRAYS, IkBatch, IkResult
 from armctl.plan.ik.numerical_solutions import completed_solutions, numerical_solutions
 from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, ik_chain, read_seed, read_start, read_target, read_tolerance
-from armctl.plan.ik.result import BATCH_ARRAYS, IkBatch, IkResult
 from armctl.plan.ik.solve import solve_ik
 
 _POSE = Constraint.POSE  # a global name is read faster than a member of an enumeration

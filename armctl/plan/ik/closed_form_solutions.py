@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
-from armctl.plan.ik.geometry import ClosedForm
+from armctl.plan.ik.closed_form_recognition import ClosedForm
 from armctl.plan.ik.problem import IkChain
 
 _ONE_POSITION = np.zeros(1)  # of a sweep that six joints do not need

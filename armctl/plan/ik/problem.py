@@ -18,7 +18,7 @@ from armctl.core.target import Target, TargetLike
 from armctl.core.validation import Array, BoolArray, IntArray, as_array, choice, frozen, integer, matrix, number, vector
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.arm.core_model import tips
-from armctl.plan.ik.geometry import ClosedForm, Hinges, closed_form_of
+from armctl.plan.ik.closed_form_recognition import ClosedForm, Hinges, closed_form_of
 
 _FREE_AXES = {"x": Constraint.FREE_X, "y": Constraint.FREE_Y, "z": Constraint.FREE_Z}
 MIN_TOLERANCE = 1e-12  # m or rad: below it rounding decides

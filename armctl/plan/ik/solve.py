@@ -19,9 +19,9 @@ from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import checkable
 from armctl.plan.ik import lm
 from armctl.plan.ik.closed_form_solutions import closed_form_solutions
+from armctl.plan.ik.ik_result import IkResult, failure_reason
 from armctl.plan.ik.numerical_solutions import numerical_solutions, swept_joints
 from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, ik_chain, read_seed, read_start, read_target, read_tolerance
-from armctl.plan.ik.result import IkResult, failure_reason
 
 CONTACT_STARTS = 300  # in which a solution without contact must be found
 NEAREST_STARTS = 64

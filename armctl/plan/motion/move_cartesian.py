@@ -20,8 +20,8 @@ from armctl.model.arm.arm import Arm
 from armctl.plan.ik.all_solutions import solve_ik_all
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.moving_start import planned_from
-from armctl.plan.motion.path.geometry import Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn
 from armctl.plan.motion.path.joint_path import JointPath, joint_path_along
+from armctl.plan.motion.path.path_segments import Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn
 from armctl.plan.motion.path.tip_caps import TipCaps
 from armctl.plan.motion.sections import Section, is_limited, pause, within_sections
 from armctl.plan.motion.timing.path_timing import time_optimal, times_at

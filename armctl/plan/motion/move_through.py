@@ -14,7 +14,7 @@ from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, matrix, vector
 from armctl.model.arm.arm import Arm
-from armctl.model.collision.interface import MovingJoints
+from armctl.model.collision.moving_joints import MovingJoints
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.sections import Via, is_limited, pause, within_sections

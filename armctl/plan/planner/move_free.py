@@ -30,7 +30,7 @@ from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.model.collision.clearance import PiecewiseTrajectory, clearance_of
-from armctl.model.collision.interface import KeptAxis, MovingJoints
+from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
 from armctl.model.mjmodel.queries import object_id
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state

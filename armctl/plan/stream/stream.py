@@ -19,7 +19,7 @@ from armctl.core.validation import Array, flag, instance, integer, matrix, numbe
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import checkable
 from armctl.plan.ik.differential import DifferentialIk
-from armctl.plan.ik.result import FAR_M
+from armctl.plan.ik.ik_result import FAR_M
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
 from armctl.plan.motion.timing.otg import JointState

@@ -21,7 +21,7 @@ from armctl.model.collision.checkers import collision_checker, read_pairs
 from armctl.model.mjmodel.queries import has_obstacles
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.planner.move_free import configurations_for
-from armctl.plan.planner.team import ArmGroup, plan_together
+from armctl.plan.planner.team_planner import ArmGroup, plan_together
 from armctl.run.execution.move import PlannedMove, plan_to, read_controller
 from armctl.run.execution.obstacles import touched_by
 from armctl.run.sim.gripper.gripper import Gripper

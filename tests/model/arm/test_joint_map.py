@@ -10,7 +10,7 @@ from armctl.model.arm.dynamics import Dynamics
 from armctl.model.arm.joint_map import JointMap
 from armctl.model.arm.parity import check_parity
 from armctl.model.mjmodel.transmissions import Transmission, Transmissions
-from armctl.plan.ik.batch import solve_ik_batch
+from armctl.plan.ik.solve_batch import solve_ik_batch
 
 
 @pytest.fixture(params=TIED)

@@ -13,7 +13,7 @@ from synthetic import limb, mjcf, motors
 import armctl
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import collision_checker
-from armctl.model.collision.geometry import colliding_pairs
+from armctl.model.collision.collision_geometry import colliding_pairs
 
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)

@@ -6,8 +6,8 @@ from arms import arm_of
 
 import armctl
 from armctl import InputError, Pose, Reachability
-from armctl.plan.ik.batch import solve_ik_batch
 from armctl.plan.ik.problem import ik_chain
+from armctl.plan.ik.solve_batch import solve_ik_batch
 
 PLANAR_LINK = """<body pos="{x} 0 0"><joint name="j{i}" axis="0 1 0" range="-3 3"/>
 <geom type="capsule" fromto="0 0 0 {length} 0 0" size="0.01" mass="1" contype="0" conaffinity="0"/>"""

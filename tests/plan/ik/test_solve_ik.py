@@ -25,8 +25,8 @@ from armctl._core import Constraint
 from armctl.core.target import Target
 from armctl.model.collision.checkers import collision_checker
 from armctl.plan.ik import lm
-from armctl.plan.ik.batch import solve_ik_batch
 from armctl.plan.ik.problem import ik_chain, read_problem
+from armctl.plan.ik.solve_batch import solve_ik_batch
 
 every_arm = pytest.mark.parametrize("name", some_of(ARMS))
 

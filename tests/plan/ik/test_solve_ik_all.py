@@ -13,8 +13,8 @@ from arms import some_of
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, solve_ik, solve_ik_all
 from armctl.model.collision.checkers import collision_checker
-from armctl.plan.ik.batch import solve_ik_batch
 from armctl.plan.ik.problem import ik_chain
+from armctl.plan.ik.solve_batch import solve_ik_batch
 
 LINK = """<body pos="{x:g} {y:g} {z:g}"><joint name="j{i}" axis="{axis}" range="{range}"/>
 <geom type="capsule" fromto="0 0 0 0.01 0.01 0.02" size="0.01" mass="1" contype="0" conaffinity="0"/>"""

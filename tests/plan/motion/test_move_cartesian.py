@@ -12,7 +12,7 @@ import armctl
 from armctl.core.pose import Pose, rotation_vector
 from armctl.plan.motion.move_cartesian import Arc, Line
 from armctl.plan.motion.path import joint_path
-from armctl.plan.motion.path.geometry import Blend, Straight, Turn
+from armctl.plan.motion.path.path_segments import Blend, Straight, Turn
 from armctl.plan.motion.path.tip_caps import TipCaps
 
 UM = 1e-6

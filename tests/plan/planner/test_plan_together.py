@@ -8,7 +8,7 @@ import pytest
 
 import armctl
 from armctl.model.collision.checkers import collision_checker
-from armctl.plan.planner.team import ArmGroup, combined, plan_together
+from armctl.plan.planner.team_planner import ArmGroup, combined, plan_together
 
 LINKS = (("0 0 1", 0.1), ("0 1 0", 0.3), ("0 1 0", 0.25), ("0 1 0", 0.1))
 

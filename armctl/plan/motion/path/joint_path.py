@@ -22,7 +22,7 @@ from armctl.core.pose import rotation_angle
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.plan.ik.solve import solve_ik
-from armctl.plan.motion.path.geometry import PathSegment
+from armctl.plan.motion.path.path_segments import PathSegment
 
 _MAX_JOINT_STEP = 0.02  # rad (m), of any joint
 _MIN_STEPS = 60  # of a path

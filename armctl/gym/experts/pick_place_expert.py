@@ -4,7 +4,7 @@ import numpy as np
 
 from armctl.core.validation import Array
 from armctl.gym.batch import Batch
-from armctl.gym.experts.interface import CartesianExpert, Command
+from armctl.gym.experts.expert import CartesianExpert, Command
 from armctl.gym.tasks.pick_place import PickPlace
 
 _LOWERING_SPEED = 0.2  # reaches per second

@@ -6,7 +6,7 @@ import numpy as np
 
 from armctl.core.validation import Array
 from armctl.gym.batch import Batch
-from armctl.gym.experts.interface import CartesianExpert, Command
+from armctl.gym.experts.expert import CartesianExpert, Command
 from armctl.gym.tasks.push import BEHIND, PushTask
 
 _PUSH_SPEED = 0.15  # reaches per second

@@ -9,7 +9,7 @@ from armctl.core.errors import InputError
 from armctl.core.pose import rotation_vector
 from armctl.core.validation import Array
 from armctl.gym.batch import Batch
-from armctl.gym.tasks.table import Tabletop
+from armctl.gym.tasks.tabletop import Tabletop
 from armctl.plan.ik.problem import ik_chain
 from armctl.plan.ik.solve import solve_ik
 

@@ -18,8 +18,8 @@ from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, IntArray, array, as_array, frozen, integer, matrix
 from armctl.model.arm.arm import Arm
 from armctl.plan.ik import lm
+from armctl.plan.ik.ik_result import BATCH_ARRAYS, IkBatch, failure_reason
 from armctl.plan.ik.problem import IkProblem, constraint_of, read_problem
-from armctl.plan.ik.result import BATCH_ARRAYS, IkBatch, failure_reason
 
 MAX_CHUNK = 1024  # targets
 MIN_CHUNK = 128

@@ -10,7 +10,7 @@ from armctl.core.validation import Array, instance, shown
 from armctl.model.loading.actuators import actuator_notes, dc_motors
 from armctl.model.loading.catalog import Source
 from armctl.model.loading.chain import chain_to, end_note, find_chain
-from armctl.model.loading.limits import JointData, datasheet_limits, torque_limits
+from armctl.model.loading.joint_limits import JointData, datasheet_limits, torque_limits
 from armctl.model.loading.tip import Tip, axis_note, named_tip, tip_of_chain
 from armctl.model.loading.unit_checks import unit_doubts
 from armctl.model.loading.urdf import speed_limits
