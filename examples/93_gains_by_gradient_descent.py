@@ -9,7 +9,7 @@ from armctl import jax as aj
 jax.config.update("jax_enable_x64", True)
 arm = armctl.load("robot_arm_3dof")
 model = aj.arm_model(arm)
-default = aj.PDGains.of(armctl.PD(arm), arm.dt)
+default = aj.PDGains.from_controller(armctl.PD(arm), arm.dt)
 reference = aj.tick_reference(armctl.move_j(arm, arm.home, arm.home + 0.2), arm.dt)
 noise = 5e-5 * jax.random.normal(jax.random.key(0), (len(reference.q), 2, arm.n))  # rad
 

@@ -16,7 +16,7 @@ ARMS = 64
 
 arm = armctl.load("robot_arm_3dof")
 model = aj.arm_model(arm)
-gains = aj.ComputedTorqueGains.of(armctl.ComputedTorque(arm), arm.dt)
+gains = aj.ComputedTorqueGains.from_controller(armctl.ComputedTorque(arm), arm.dt)
 reference = aj.tick_reference(armctl.move_j(arm, arm.home, arm.home + 0.2), arm.dt, ticks=300)
 plant = mjx.put_model(arm.model)
 

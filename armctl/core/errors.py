@@ -107,7 +107,7 @@ class NotInstalledError(ArmctlError):
     """A missing optional package, or a missing part of the system such as a screen."""
 
     @classmethod
-    def of_extra(cls, what: str, extra: str) -> NotInstalledError:
+    def from_extra(cls, what: str, extra: str) -> NotInstalledError:
         """The error for a package that one of armctl's extras installs.
 
         Args:
@@ -118,11 +118,11 @@ class NotInstalledError(ArmctlError):
 
 
 def import_extra(module: str, what: str, extra: str) -> Any:
-    """A module that one of armctl's extras installs; NotInstalledError, as by `NotInstalledError.of_extra`, without it."""
+    """A module that one of armctl's extras installs; NotInstalledError, as by `NotInstalledError.from_extra`, without it."""
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise NotInstalledError.of_extra(what, extra) from None
+        raise NotInstalledError.from_extra(what, extra) from None
 
 
 class PlanError(ArmctlError):

@@ -20,7 +20,7 @@ def __getattr__(name: str) -> Any:
     if name == "jax":
         return import_module("armctl.gym.jax")
     if name in __all__ and not _HAS_GYMNASIUM:
-        raise NotInstalledError.of_extra("environments need gymnasium", "gym")
+        raise NotInstalledError.from_extra("environments need gymnasium", "gym")
     return _public(name)
 
 

@@ -265,7 +265,7 @@ class WebScene:
 
 
 def _missing(module: str | None) -> NotInstalledError:
-    return NotInstalledError.of_extra(f"the page in the browser needs {module}", "view")
+    return NotInstalledError.from_extra(f"the page in the browser needs {module}", "view")
 
 
 def _shown_host(host: str | None) -> str:

@@ -59,7 +59,11 @@ def test_laws_and_dynamics_are_those_of_the_controllers_and_the_arm(arm, continu
     pd = armctl.PD(arm)
     computed = armctl.ComputedTorque(arm)
     task = armctl.OperationalSpace(arm)
-    gains = (aj.PDGains.of(pd, arm.dt), aj.ComputedTorqueGains.of(computed, arm.dt), aj.OperationalSpaceGains.of(task))
+    gains = (
+        aj.PDGains.from_controller(pd, arm.dt),
+        aj.ComputedTorqueGains.from_controller(computed, arm.dt),
+        aj.OperationalSpaceGains.from_controller(task),
+    )
     model = aj.arm_model(arm, continuous=continuous)
 
     @jax.jit
@@ -93,7 +97,7 @@ def planar(tmp_path) -> armctl.Arm:
 def test_a_batch_of_closed_loops_is_simulated_and_differentiated(planar):
     trajectory = armctl.move_j(planar, planar.home, planar.home + 0.05)
     reference = aj.tick_reference(trajectory, planar.dt)
-    gains = aj.PDGains.of(armctl.PD(planar), planar.dt)
+    gains = aj.PDGains.from_controller(armctl.PD(planar), planar.dt)
     model = aj.arm_model(planar)
     loads = (0.0, -5.0)  # N, in the plane of the arm
 
@@ -137,10 +141,13 @@ def test_rotation_vectors_are_those_of_pinocchio_also_of_half_a_turn():
 
 def test_what_has_no_counterpart_is_refused(planar):
     for call, message in (
-        (lambda: aj.PDGains.of(armctl.PDGravity(planar), 1e-3), "expected armctl.PD"),
-        (lambda: aj.ComputedTorqueGains.of(armctl.PD(planar), 1e-3), "expected armctl.ComputedTorque"),
-        (lambda: aj.ComputedTorqueGains.of(armctl.ComputedTorque(planar, form="textbook"), 1e-3), "form='discrete'"),
-        (lambda: aj.OperationalSpaceGains.of(armctl.PD(planar)), "OperationalSpace"),
+        (lambda: aj.PDGains.from_controller(armctl.PDGravity(planar), 1e-3), "expected armctl.PD"),
+        (lambda: aj.ComputedTorqueGains.from_controller(armctl.PD(planar), 1e-3), "expected armctl.ComputedTorque"),
+        (
+            lambda: aj.ComputedTorqueGains.from_controller(armctl.ComputedTorque(planar, form="textbook"), 1e-3),
+            "form='discrete'",
+        ),
+        (lambda: aj.OperationalSpaceGains.from_controller(armctl.PD(planar)), "OperationalSpace"),
         (lambda: aj.arm_model(planar, dt=-1.0), "dt"),
     ):
         with pytest.raises(armctl.InputError, match=message):

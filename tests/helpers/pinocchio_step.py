@@ -13,7 +13,7 @@ class PinocchioStep:
     """A step of dt s: linear damping D that is implicit in velocity acts like an additional armature dt D."""
 
     def __init__(self, arm: Arm, dt: float):
-        integrator = Integrator.of(arm.model)
+        integrator = Integrator.from_model(arm.model)
         is_plain = arm.joint_map.is_plain
         self.dynamics = Dynamics(arm.model, arm.pinocchio_model)
         self.passive = PassiveForces(arm.model, arm.joint_map)

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from armctl.core.errors import NotInstalledError
 
 if find_spec("jax") is None:
-    raise NotInstalledError.of_extra("armctl.gym.jax needs JAX", "jax")
+    raise NotInstalledError.from_extra("armctl.gym.jax needs JAX", "jax")
 
 from armctl.gym.jax.arm_model import ArmModel, arm_model
 from armctl.gym.jax.control import (

@@ -59,7 +59,7 @@ class PDGains(NamedTuple):
     damping: jax.Array
 
     @classmethod
-    def of(cls, controller: PD, dt: float) -> PDGains:
+    def from_controller(cls, controller: PD, dt: float) -> PDGains:
         """The gains of a controller.
 
         Args:
@@ -88,7 +88,7 @@ class ComputedTorqueGains(NamedTuple):
     added_inertia: jax.Array
 
     @classmethod
-    def of(cls, controller: ComputedTorque, dt: float) -> ComputedTorqueGains:
+    def from_controller(cls, controller: ComputedTorque, dt: float) -> ComputedTorqueGains:
         """The gains of a controller.
 
         Args:
@@ -126,7 +126,7 @@ class OperationalSpaceGains(NamedTuple):
     posture_damping: jax.Array
 
     @classmethod
-    def of(cls, controller: OperationalSpace) -> OperationalSpaceGains:
+    def from_controller(cls, controller: OperationalSpace) -> OperationalSpaceGains:
         """The gains of a controller.
 
         Raises:

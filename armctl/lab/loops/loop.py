@@ -390,7 +390,7 @@ class Loop:
         try:
             import control
         except ImportError:
-            raise NotInstalledError.of_extra("to_control needs python-control", "design") from None
+            raise NotInstalledError.from_extra("to_control needs python-control", "design") from None
         names: dict[str, Any] = {"inputs": list(self.joint_names), "outputs": list(self.joint_names)}
         return control.StateSpace(self.A, self.B, self.C, self.D, self.dt, **names)
 

@@ -29,7 +29,7 @@ class Integrator:
     implicit_coriolis: bool  # coriolis and centrifugal forces: implicit
 
     @classmethod
-    def of(cls, model: mujoco.MjModel) -> Integrator:
+    def from_model(cls, model: mujoco.MjModel) -> Integrator:
         kind = mujoco.mjtIntegrator(model.opt.integrator)
         euler_damp = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         explicit_euler = kind == mujoco.mjtIntegrator.mjINT_EULER and not euler_damp
@@ -45,7 +45,7 @@ def model_arrays(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> dict
     pin_model = pinocchio_model.pin_model
     passive = PassiveForces(model, joint_map)
     friction = DryFriction.of(model, joint_map)
-    integrator = Integrator.of(model)
+    integrator = Integrator.from_model(model)
     # Joint 0 of Pinocchio is the world.
     placements = pin_model.jointPlacements[1:]
     bodies = pin_model.inertias[1:]

@@ -289,7 +289,7 @@ def _timed(
 ) -> tuple[JointTrajectory, Pieces]:
     """The motion along what is gone through without stopping, and the one without torque limits and limits of sections."""
     speed = options.get("speed", 1.0)
-    caps = TipCaps.of(arm, joint_path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
+    caps = TipCaps.from_path(arm, joint_path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
     pieces = time_optimal(joint_path, limits, caps)
     free = JointTrajectory(*joints_of(pieces), arm.joint_names, arm.limits, units=arm.units)
     if not any(map(is_limited, chain.sections)):

@@ -75,7 +75,7 @@ def move_j(
 
 def _each_joint(limits: Limits, start: Setpoint, goal: Array) -> Pieces:
     """The pieces of the fastest motion in which each joint moves by itself and all arrive together."""
-    return solve_pieces(ProfileSolver.of(limits), JointState(start.q, start.v, start.a), at_rest(goal))
+    return solve_pieces(ProfileSolver.from_limits(limits), JointState(start.q, start.v, start.a), at_rest(goal))
 
 
 def _line(limits: Limits, start: Setpoint, goal: Array) -> Pieces:

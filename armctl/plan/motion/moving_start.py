@@ -37,7 +37,7 @@ def stop_from(arm: Arm, start: Setpoint) -> JointTrajectory | None:
     if not start.v.any() and not start.a.any():
         return None
     state = JointState(start.q, start.v, start.a)
-    profile = ProfileSolver.of(arm.limits).stop(state)
+    profile = ProfileSolver.from_limits(arm.limits).stop(state)
     if profile is None:
         raise PlanError("no stop inside the limits was found from this start; start slower")
     pieces = profile.pieces(state)

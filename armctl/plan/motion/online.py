@@ -47,7 +47,7 @@ class OnlineMotion:
         self._q_max = limits.q_max.tolist()
         self._q_min_loose = (limits.q_min - POSITION_TOLERANCE).tolist()
         self._q_max_loose = (limits.q_max + POSITION_TOLERANCE).tolist()
-        self._solver = ProfileSolver.of(limits)
+        self._solver = ProfileSolver.from_limits(limits)
         start = start_state(arm, q_start)
         self._t = 0.0
         self._start = JointState(start.q.tolist(), start.v.tolist(), start.a.tolist())

@@ -51,7 +51,7 @@ class ArmGroup:
     unchecked_links: tuple[str, ...]  # links without a collision shape that they need
 
     @classmethod
-    def of(cls, arms: Sequence[Arm], speed: float = 1.0) -> ArmGroup:
+    def from_arms(cls, arms: Sequence[Arm], speed: float = 1.0) -> ArmGroup:
         """The group of some arms of one model, with the limits of a fraction of the full speed."""
         actuation = Actuation.concatenated([arm.actuation for arm in arms])
         return cls(
@@ -78,7 +78,7 @@ def plan_together(
     Each arm goes straight if all together are proved free. Otherwise one path is planned in the joint space of all arms.
     """
     rng = np.random.default_rng(0)
-    group = ArmGroup.of(list(arms.values()), speed)
+    group = ArmGroup.from_arms(list(arms.values()), speed)
     start = np.concatenate([starts[tip] for tip in arms])
     require_free_start(checker, start)
     goals, freest = _goals(checker, arms, starts, solutions)

@@ -59,7 +59,7 @@ class _Course:
     rows: Array
 
     @classmethod
-    def of(cls, at: int, pieces: Pieces, dt: float) -> _Course:
+    def from_pieces(cls, at: int, pieces: Pieces, dt: float) -> _Course:
         ticks = int(np.ceil(pieces.knots[-1] / dt - 1e-9))
         return cls(at, pieces, sample(pieces, dt * np.arange(ticks + 1, dtype=np.float64)).q)
 
@@ -77,7 +77,7 @@ class Player:
         self._limits = limits
         self._lead = lead
         self._lock = Lock()
-        self._courses = [_Course.of(0, standing(q), dt)]  # each until the next one begins
+        self._courses = [_Course.from_pieces(0, standing(q), dt)]  # each until the next one begins
         self._stopped_from = _NEVER
 
     @property
@@ -108,7 +108,7 @@ class Player:
             before = self._courses[-1]
             if first < before.at:
                 return Played(first, "the motion starts before the one that was sent last")
-            course = _Course.of(first, pieces, self.dt)
+            course = _Course.from_pieces(first, pieces, self.dt)
             gap = float(np.abs(course.rows[0] - before.row(first)).max())
             if gap > JOIN_TOLERANCE:
                 return Played(first, f"the motion starts {gap:.2g} rad from where the last one is then")
@@ -125,7 +125,7 @@ class Player:
             t = self.dt * (tick - course.at)
             braked = course
             if t < course.pieces.knots[-1]:
-                braked = _Course.of(course.at, stopped(course.pieces, self._limits, t), self.dt)
+                braked = _Course.from_pieces(course.at, stopped(course.pieces, self._limits, t), self.dt)
             with self._lock:
                 if self.tick < tick and course in self._courses:
                     self._courses = [*self._courses[: self._courses.index(course)], braked]

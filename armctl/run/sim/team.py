@@ -164,7 +164,7 @@ class Team:
         """Moves of all arms that are proved together; refusals of all if there are none."""
         if self._arms.drive.blocked or not goals:
             return {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
-        group = ArmGroup.of(list(self.arms.values()), speed)
+        group = ArmGroup.from_arms(list(self.arms.values()), speed)
         if group.unchecked_links and not has_obstacles(self.model, group.joint_map.joints):
             return {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
         held = {tip: gripper.held for tip, gripper in self._grippers.items() if gripper.held}

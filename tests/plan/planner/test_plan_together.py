@@ -66,7 +66,7 @@ def test_arms_exchange_places_without_contact(arms):
 
 def exchanged(arms: tuple[armctl.Arm, ...]) -> list[armctl.JointTrajectory]:
     """The arms exchange places, planned together: each straight way would touch the other arm."""
-    group = ArmGroup.of(arms)
+    group = ArmGroup.from_arms(arms)
     left, right = arms
     starts = {left.tip: LEFT_INWARDS, right.tip: -UP}
     solutions = {left.tip: [UP], right.tip: [RIGHT_INWARDS]}
@@ -122,7 +122,7 @@ def test_combined_motions_are_the_motions(arms):
 
 
 def test_a_group_touches_where_mujoco_says_so(arms):
-    group = ArmGroup.of(arms)
+    group = ArmGroup.from_arms(arms)
     checker = collision_checker(group, group.home_qpos)
     between = 0
     inwards = np.concatenate([LEFT_INWARDS, RIGHT_INWARDS])

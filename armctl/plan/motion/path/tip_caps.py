@@ -31,7 +31,9 @@ class TipCaps:
     angular: float  # rad/s, of its turning
 
     @classmethod
-    def of(cls, arm: Arm, path: Path, speed: float, tip_speed: float | None, tip_angular_speed: float | None) -> TipCaps | None:
+    def from_path(
+        cls, arm: Arm, path: Path, speed: float, tip_speed: float | None, tip_angular_speed: float | None
+    ) -> TipCaps | None:
         """The caps at a fraction of the full speed; None if there are none."""
         if tip_speed is None and tip_angular_speed is None:
             return None

@@ -144,7 +144,7 @@ class ProfileSolver:
         self._set_limits(1.0)
 
     @classmethod
-    def of(cls, limits: Limits) -> ProfileSolver:
+    def from_limits(cls, limits: Limits) -> ProfileSolver:
         return cls(limits.v_max, limits.a_max, limits.j_max)
 
     def solve(self, start: JointState, goal: JointState, together: bool = True, shortest: float = 0.0) -> Profile | None:

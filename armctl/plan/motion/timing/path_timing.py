@@ -134,7 +134,7 @@ def time_optimal(path: Path, limits: Limits, caps: Caps | None = None, knots: Ar
     inner = np.empty(0) if knots is None else knots[1:-1]
     problem = _TimingProblem(path, limits, caps)
     timing = initial_timing(path, limits)
-    timed = problem.timed(problem.sampled(_Places.of(timing, _merged(timing.edges, timing.times_at(inner)))))
+    timed = problem.timed(problem.sampled(_Places.from_timing(timing, _merged(timing.edges, timing.times_at(inner)))))
     refined = _refined(timed, intervals_for(timed.t[-1]))
     return _tightened(problem, refined, refined.times_at(inner))
 
@@ -159,7 +159,7 @@ def intervals_for(duration: float) -> int:
 
 def _tightened(problem: _TimingProblem, timing: Timing, knots: Array) -> Pieces:
     """The best path speed for a timing, cut at knots too, its bounds tightened where it exceeds them between the nodes."""
-    sampled = problem.sampled(_Places.of(timing, _merged(timing.edges, knots)))
+    sampled = problem.sampled(_Places.from_timing(timing, _merged(timing.edges, knots)))
     slack = np.ones((4, len(sampled.places.nodes)))
     tried: list[tuple[Pieces, float]] = []
     for tightening in range(1 + _MAX_TIGHTENINGS_OF_LARGE_EXCESS):
@@ -187,7 +187,7 @@ class _Places(NamedTuple):
     end: Array  # (N - 1,) and at which it ends
 
     @classmethod
-    def of(cls, timing: Timing, nodes: Array) -> _Places:
+    def from_timing(cls, timing: Timing, nodes: Array) -> _Places:
         """The places of nodes that include the timing's edges."""
         edges = timing.edges
         interval = np.clip(np.searchsorted(edges, 0.5 * (nodes[1:] + nodes[:-1])) - 1, 0, timing.intervals - 1)

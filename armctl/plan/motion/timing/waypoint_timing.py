@@ -43,7 +43,7 @@ class WaypointSearch:
         """For waypoints q (k, n), no two neighbours equal."""
         self.q = np.ascontiguousarray(q)
         self.limits = limits
-        self._solver = ProfileSolver.of(limits)
+        self._solver = ProfileSolver.from_limits(limits)
         # A joint that passes a waypoint faster than this cannot stop before its position limit.
         room = np.minimum(q - limits.q_min, limits.q_max - q)
         self._v_bound = np.minimum(limits.v_max, np.sqrt(2 * limits.a_max * np.maximum(room, 0.0)))
