@@ -33,17 +33,17 @@ def cpu_ms(work: Callable[[], object]) -> float:
 def study_row(robot: str, folder: Path) -> list[str]:
     factors = {"payload": armctl.Range(0.0, 1.0), "friction": armctl.Range(0.0, 0.02), "noise": 1.0}
     study = armctl.Study("benchmark", robot=robot, controllers=["computed-torque"], factors=factors, samples=SAMPLES)
-    study.bench.motion({})  # the plan is made once, however many runs there are
-    log = study.bench.simulate(study.runs[0])
+    study.runner.motion({})  # the plan is made once, however many runs there are
+    log = study.runner.simulate(study.runs[0])
     without_simulation = armctl.Study.from_dict({**study.to_dict(), "name": "without-simulation"})
-    without_simulation.bench.simulate = lambda run: log
+    without_simulation.runner.simulate = lambda run: log
     rest = cpu_ms(lambda: without_simulation.run(folder=folder)) / len(study.runs)
     runs = study.runs
     total = cpu_ms(lambda: study.run(folder=folder)) / len(runs)
     table = study.run(folder=folder).table()
     for k in range(CHECKED):
-        log = armctl.simulate(study.bench.arm, "computed-torque", study.bench.motion({}), study.bench.plant(runs[k]))
-        assert study.bench.figures(log)["digest"] == table["digest"][k], "a run differs from that of simulate"
+        log = armctl.simulate(study.runner.arm, "computed-torque", study.runner.motion({}), study.runner.plant(runs[k]))
+        assert study.runner.figures(log)["digest"] == table["digest"][k], "a run differs from that of simulate"
     again = cpu_ms(lambda: study.run(folder=folder)) / len(runs)
     return [robot, f"{total:.1f}", f"{rest:.2f}", f"{again:.3f}", f"{10 * total:.0f}", f"{worker_megabytes(study, folder):.0f}"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armctl import _core
-from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain, word
+from armctl.control.gain_attribute import Gain, choice_gain, optional_gain, scalar_gain
 from armctl.control.gains import extra_inertia
 from armctl.control.interface import ArmController, checked_period
 from armctl.control.observer_gains import estimate_weights, feedback_estimate
@@ -43,7 +43,7 @@ class ComputedTorque(ArmController):
     bandwidth: Gain[float] = scalar_gain()
     damping_ratio: Gain[float] = scalar_gain()
     estimate_bandwidth: Gain[float | None] = optional_gain()
-    form: Gain[str] = word(FORMS)
+    form: Gain[str] = choice_gain(FORMS)
 
     def __init__(
         self,

@@ -47,9 +47,9 @@ def optional_gain(low: float = 0.0, high: float = MAX_BANDWIDTH) -> Gain[float |
     return Gain(lambda name, value, _n: None if value is None else number(name, value, low, high))
 
 
-def word(words: tuple[str, ...]) -> Gain[str]:
-    """One of some words."""
-    return Gain(lambda name, value, _n: choice(name, value, words))
+def choice_gain(choices: tuple[str, ...]) -> Gain[str]:
+    """One of some choices."""
+    return Gain(lambda name, value, _n: choice(name, value, choices))
 
 
 def joint_gain() -> Gain[Array]:

@@ -9,7 +9,7 @@ from typing import TypedDict
 import numpy as np
 
 from armctl import _core
-from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain, word
+from armctl.control.gain_attribute import Gain, choice_gain, optional_gain, scalar_gain
 from armctl.control.interface import ArmController
 from armctl.control.task_space import task_rows
 from armctl.core.defaults import DEFAULT_BANDWIDTH
@@ -45,7 +45,7 @@ class HybridForce(ArmController):
 
     name = "hybrid-force"
     needs_wrench = True
-    frame: Gain[str] = word(FRAMES)
+    frame: Gain[str] = choice_gain(FRAMES)
     bandwidth: Gain[float] = scalar_gain()
     damping_ratio: Gain[float] = scalar_gain()
     approach_speed: Gain[float | None] = optional_gain(1e-6, 10.0)

@@ -9,7 +9,7 @@ import pytest
 
 import armctl
 from armctl.lab.study import statistics
-from armctl.lab.study.bench import FIGURES
+from armctl.lab.study.study_runner import FIGURES
 
 
 def with_columns(result: armctl.StudyResult, **columns) -> armctl.StudyResult:

@@ -20,8 +20,8 @@ import pytest
 from arms import some_of
 
 import armctl
-from armctl.lab.study.bench import Bench, failed_outcome, model_digest, run_chunk, versions
 from armctl.lab.study.study import Store
+from armctl.lab.study.study_runner import StudyRunner, failed_outcome, model_digest, run_chunk, versions
 from armctl.run.sim.mujoco_library import library
 
 
@@ -98,7 +98,7 @@ def test_threads_make_the_same_bits(study, finished, tmp_path):
 
 def test_a_second_start_makes_nothing_again(study, finished, tmp_path, monkeypatch):
     study().run(folder=tmp_path)
-    monkeypatch.setattr(Bench, "outcomes", None)
+    monkeypatch.setattr(StudyRunner, "outcomes", None)
     assert digests(study().run(folder=tmp_path)) == digests(finished)
 
 
@@ -343,7 +343,7 @@ def test_what_does_not_fit_the_robot_is_refused_before_anything_runs(study, tmp_
 def test_of_many_values_to_choose_from_only_those_of_the_runs_are_checked(study, monkeypatch):
     planned = study(factors={"payload": armctl.Choice(np.linspace(0.0, 1.0, 100_000))}, samples=4)
     checked = []
-    monkeypatch.setattr(Bench, "check_plant", lambda bench, run: checked.append(run.point["payload"]))
+    monkeypatch.setattr(StudyRunner, "check_plant", lambda runner, run: checked.append(run.point["payload"]))
     planned._check()
     assert sorted(checked) == sorted({run.point["payload"] for run in planned.runs})
     assert len(checked) == 4

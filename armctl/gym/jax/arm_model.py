@@ -27,7 +27,7 @@ _R = TypeVar("_R")
 class ArmModel:
     """The m joints of an arm's chain and the n driven ones among them, for one control period; a pytree.
 
-    Every joint turns about, or slides along, the z axis of its own frame. The attributes up to `is_rubbing` are static: they
+    Every joint turns about, or slides along, the z axis of its own frame. The attributes up to `has_dry_friction` are static: they
     decide what is compiled. The others are arrays, so `vmap` can map over arms that differ in them.
 
     Attributes:
@@ -41,7 +41,7 @@ class ArmModel:
         is_sprung: Whether a joint has a spring.
         is_coriolis_implicit: Whether Coriolis torques are implicit in the velocity.
         is_nonlinear_implicit: Whether any force but linear damping is implicit in the velocity.
-        is_rubbing: Whether a joint has dry friction.
+        has_dry_friction: Whether a joint has dry friction.
         rotation: (m, 3, 3), of the joint's frame in its parent's frame at position zero.
         translation: (m, 3) m, likewise.
         mass: (m,) kg.
@@ -72,7 +72,7 @@ class ArmModel:
     is_sprung: bool = field(metadata={"static": True})
     is_coriolis_implicit: bool = field(metadata={"static": True})
     is_nonlinear_implicit: bool = field(metadata={"static": True})
-    is_rubbing: bool = field(metadata={"static": True})
+    has_dry_friction: bool = field(metadata={"static": True})
     rotation: jax.Array
     translation: jax.Array
     mass: jax.Array
@@ -124,7 +124,7 @@ def arm_model(arm: Arm, dt: float | None = None, continuous: bool = False) -> Ar
         is_sprung=bool(arrays["stiffness"].any()),
         is_coriolis_implicit=is_coriolis_implicit,
         is_nonlinear_implicit=is_coriolis_implicit or (arrays["implicit_damping"] and is_nonlinear),
-        is_rubbing=bool(arrays["friction_loss"].any()),
+        has_dry_friction=bool(arrays["friction_loss"].any()),
         rotation=jnp.asarray(arrays["rotations"]),
         translation=jnp.asarray(arrays["translations"]),
         mass=jnp.asarray(arrays["masses"]),

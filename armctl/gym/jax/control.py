@@ -259,4 +259,4 @@ def rotation_vector(R: jax.Array) -> jax.Array:
 def _tracking_torque(model: ArmModel, q: jax.Array, v: jax.Array, a: jax.Array, reference: Reference) -> jax.Array:
     """Inverse dynamics, with damping and dry friction of the reference motion, as `feedforward` explains; (n,) N m."""
     tau = inverse_dynamics(model, q, v, a) + model.damping[:, 0] * (reference.v_tick - v)
-    return tau + dry_friction(model, q, reference.v_tick, reference.a_tick) if model.is_rubbing else tau
+    return tau + dry_friction(model, q, reference.v_tick, reference.a_tick) if model.has_dry_friction else tau

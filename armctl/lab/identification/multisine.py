@@ -71,13 +71,13 @@ def multisine_excitation(
     multisine = Multisine(joints, _PERIOD_S, starts, lines)
     size = _largest_size(arm, joints, unit, spacing, drift, speed)
     direction = (-1.0) ** np.arange(len(joints))  # of the drift: some responses would change more if all were the same
-    course = sample(hermite(*_drift(sets, direction * drift)), times)
+    slow_drift = sample(hermite(*_drift(sets, direction * drift)), times)
     checker = collision_checker(arm)
     checker.require_provable_among_obstacles()
     reason = ""
     for factor in _FACTORS:
         samples = [np.zeros((len(times), arm.n)) for _ in unit]
-        for rows, each, slow in zip(samples, unit, course, strict=True):
+        for rows, each, slow in zip(samples, unit, slow_drift, strict=True):
             rows[:, joints] = factor * (size * each + slow)
         samples[0] += q
         motion = JointTrajectory(*hermite(times, *samples), arm.joint_names, arm.limits, units=arm.units)

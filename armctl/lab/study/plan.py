@@ -19,8 +19,8 @@ from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.file_reading import read_bytes, reading
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import choice, instance, integer, number, shown
-from armctl.lab.study.bench import CONTROLLER_FACTOR, OTHER_FACTORS, PLANT_FACTORS, Bench, StudyRun, versions
 from armctl.lab.study.factors import MAX_RUNS, SAMPLINGS, design_points, factor_table, read_factor
+from armctl.lab.study.study_runner import CONTROLLER_FACTOR, OTHER_FACTORS, PLANT_FACTORS, StudyRun, StudyRunner, versions
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 
 _NAME = re.compile(r"[\w.+-]{1,100}")
@@ -160,14 +160,14 @@ class StudyPlan:
         return len(points) * self.repeats * len(self.controllers)
 
     @cached_property
-    def bench(self) -> Bench:
+    def runner(self) -> StudyRunner:
         """The arm and everything else that the runs share, loaded in this process."""
-        return Bench({**self._plain_setup, "controllers": self.controllers})
+        return StudyRunner({**self._plain_setup, "controllers": self.controllers})
 
     @cached_property
     def setup(self) -> dict[str, Any]:
         """What the runs share, as plain data for workers; `model` tells whether they load the same robot."""
-        return {**self._plain_setup, "controllers": self.controllers, "model": self.bench.digest, "versions": versions()}
+        return {**self._plain_setup, "controllers": self.controllers, "model": self.runner.digest, "versions": versions()}
 
     @property
     def _plain_setup(self) -> dict[str, Any]:

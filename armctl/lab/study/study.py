@@ -18,7 +18,10 @@ from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlError, ArmctlWarning, InputError
 from armctl.core.progress import progress_bar
 from armctl.core.validation import flag, instance, shown
-from armctl.lab.study.bench import (
+from armctl.lab.study.factors import examples
+from armctl.lab.study.plan import StudyPlan
+from armctl.lab.study.study_result import StudyResult, study_result
+from armctl.lab.study.study_runner import (
     CONTROLLER_FACTOR,
     FIGURES,
     Outcome,
@@ -28,9 +31,6 @@ from armctl.lab.study.bench import (
     run_chunk,
     versions,
 )
-from armctl.lab.study.factors import examples
-from armctl.lab.study.plan import StudyPlan
-from armctl.lab.study.study_result import StudyResult, study_result
 from armctl.run.sim.simulate import processors
 
 # A run takes 1 to 20 ms and a task of a cluster costs about 1.5 ms; a chunk is what is lost if its worker dies.
@@ -159,7 +159,7 @@ class Study(StudyPlan):
 
                 if executor is None:  # the compiled tick loop does not hold Python's lock
                     with ThreadPoolExecutor(processors()) as threads:
-                        execute(self.bench.outcomes, todo, threads, note)
+                        execute(self.runner.outcomes, todo, threads, note)
                 else:
                     execute(partial(run_chunk, json.dumps(self.setup)), todo, executor, note)
             return study_result(self, store.outcomes(self.runs))
@@ -181,17 +181,17 @@ class Study(StudyPlan):
     def _check(self) -> None:
         """Builds every controller, and a plant and a motion for the extreme values of each factor, before anything runs."""
         for label, spec in self.controllers.items():
-            make_controller(label, spec, self.bench.arm)
+            make_controller(label, spec, self.runner.arm)
         first = self.runs[0]
         for name, factor in self.factors.items():
             for value in examples(factor, (run.point[name] for run in self.runs)):
                 run = first._replace(point={**first.point, name: value})
-                self.bench.check_plant(run)
+                self.runner.check_plant(run)
                 if name == "speed":
-                    self.bench.motion(run.point)
+                    self.runner.motion(run.point)
                 if name.startswith(CONTROLLER_FACTOR):
                     for label in self.controllers:
-                        self.bench.controller(run._replace(controller=label))
+                        self.runner.controller(run._replace(controller=label))
 
 
 class Store:

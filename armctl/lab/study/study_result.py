@@ -18,8 +18,8 @@ from armctl.core.log import Log
 from armctl.core.result import Verdict
 from armctl.core.validation import choice, flag, instance, integer
 from armctl.lab.study import plots
-from armctl.lab.study.bench import FIGURES, Outcome, StudyRun
 from armctl.lab.study.plan import StudyPlan
+from armctl.lab.study.study_runner import FIGURES, Outcome, StudyRun
 from armctl.lab.study.summary import Sensitivity, StudySummary, sobol_indices, summarize
 
 if TYPE_CHECKING:
@@ -205,14 +205,14 @@ class StudyResult(Verdict):
                 if film:
                     from armctl.report.render.video import record
 
-                    record(log, self.study.bench.arm, Path(folder) / f"worst-{place}.gif")
+                    record(log, self.study.runner.arm, Path(folder) / f"worst-{place}.gif")
         return found
 
     def _again(self, row: Mapping[str, Any]) -> Log | None:
         point = {name: row[name] for name in self.study.factors}
         run = StudyRun(row["key"], row["controller"], point, int(row["repeat"]), int(row["seed"]))
         try:
-            return self.study.bench.simulate(run)
+            return self.study.runner.simulate(run)
         except ArmctlError as error:
             return getattr(error, "log", None)
 

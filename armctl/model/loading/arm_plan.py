@@ -40,7 +40,7 @@ class ArmPlan:
     tau_max: Array  # (n,) N m
     tau_source: str  # where the torque limits come from
     notes: tuple[str, ...]  # what had to be assumed, one sentence each
-    quiet_notes: tuple[str, ...]  # what needs no warning, one sentence each
+    info_notes: tuple[str, ...]  # what needs no warning, one sentence each
 
 
 def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnds]) -> list[ArmPlan]:
@@ -100,7 +100,7 @@ def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip
             *end_note(analysis, joints),
             *(axis_note(model, joints, tip) if chosen else []),
         ),
-        quiet_notes=tuple(quiet),
+        info_notes=tuple(quiet),
     )
 
 

@@ -57,7 +57,7 @@ def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Se
         home_ctrl=home_controls(model),
         tip_body=tip.body,
         T_body_tip=tip.T_body_tip,
-        notes=(*notes, *plan.notes, *plan.quiet_notes),
+        notes=(*notes, *plan.notes, *plan.info_notes),
         sources={"tau_max": plan.tau_source} | sources,
         recipe=recipe,
     )

@@ -57,9 +57,9 @@ class _RobotSpec:
 
     spec: mujoco.MjSpec
     notes: tuple[str, ...]  # what was assumed, one sentence each; they are reported as warnings
-    quiet_notes: tuple[str, ...]  # what needs no warning, one sentence each
+    info_notes: tuple[str, ...]  # what needs no warning, one sentence each
     srdf: Srdf | None  # the SRDF that belongs to it, or None
-    loose_links: frozenset[str]  # its links, if no file says which of them may touch
+    links_without_contact_rules: frozenset[str]  # its links, if no file says which of them may touch
     unread: frozenset[str]  # its links whose shapes are in the file, and could not be read
     drawn: frozenset[str]  # its links that the file draws by a visual shape that can be read
 
@@ -122,7 +122,7 @@ class _LoadRecipe:
             analysis = Transmissions(original)
             plans = describe_arms(source, analysis, ends)
         unchecked = unchecked_links(original, _joints(plans), unread)
-        loose_links = robot.loose_links
+        links_without_contact_rules = robot.links_without_contact_rules
         if unchecked and self.shapes is not None:
             tips = [(plan.tip.body, plan.tip.T_body_tip.position) for plan in plans]
             qpos = home_qpos(original, _joints(plans))
@@ -133,14 +133,14 @@ class _LoadRecipe:
                 plans = describe_arms(source, analysis, ends)
             shaped = set(original.geom_bodyid[colliding_geoms(original)].tolist())
             given = names_of(original, [body for body in unchecked if body in shaped])
-            loose_links |= frozenset(given)
+            links_without_contact_rules |= frozenset(given)
             unchecked = unchecked_links(original, _joints(plans), unread - set(given))
-        prepared = make_arm_model(source, spec, analysis, plans, loose_links, edit)
+        prepared = make_arm_model(source, spec, analysis, plans, links_without_contact_rules, edit)
         rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
         prepared = _with_shape_notes(prepared, original, _joints(plans), unchecked, robot.drawn)
         notes += model_notes(original)
-        quiet_notes = (*filter(None, [rating]), *robot.quiet_notes, *prepared.quiet_notes)
-        return source.name, replace(prepared, quiet_notes=quiet_notes), notes
+        info_notes = (*filter(None, [rating]), *robot.info_notes, *prepared.info_notes)
+        return source.name, replace(prepared, info_notes=info_notes), notes
 
 
 def load(
@@ -309,7 +309,7 @@ def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Loa
         warnings.warn(MissingShapeWarning(f"{name}: {note}", note), stacklevel=4)
         warned.append(prepared.shape_note)
     check_joint_parameters(prepared.model)
-    notes = [*warned, *prepared.quiet_notes]
+    notes = [*warned, *prepared.info_notes]
     arms = make_arms(name, prepared.model, prepared.plans, notes, recipe, prepared.unchecked_links)
     for arm in arms:
         check_mass_matrix(arm)
@@ -335,8 +335,8 @@ def _with_shape_notes(
         note = f"no collision shape for {few_names(names)}, so contacts cannot be checked; {remedy}"
     fixed = [name for name in names_of(model, fixed_without_shape(model, joints)) if name not in names]
     quiet = [f"no collision shape for the fixed {few_names(fixed)}: contacts with it are not found"] if fixed else []
-    quiet_notes = (*prepared.quiet_notes, *quiet)
-    return replace(prepared, quiet_notes=quiet_notes, unchecked_links=names, shape_note=note)
+    info_notes = (*prepared.info_notes, *quiet)
+    return replace(prepared, info_notes=info_notes, unchecked_links=names, shape_note=note)
 
 
 def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None = None, *, visual: bool = False) -> _RobotSpec:
@@ -350,11 +350,11 @@ def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None =
         semantics = read_srdf(Path(srdf))
     else:
         semantics = find_srdf(source.urdf) if source.urdf is not None else None
-    quiet_notes = apply_srdf(spec, semantics) if semantics is not None else []
-    loose_links: frozenset[str] = frozenset()
+    info_notes = apply_srdf(spec, semantics) if semantics is not None else []
+    links_without_contact_rules: frozenset[str] = frozenset()
     if source.urdf is not None and not _lists_all_pairs(semantics, source.urdf, is_given=srdf is not None):
-        loose_links = frozenset(link.get("name", "") for link in source.urdf.root.findall("link"))
-    return _RobotSpec(spec, tuple(notes), tuple(quiet_notes), semantics, loose_links, unread, drawn)
+        links_without_contact_rules = frozenset(link.get("name", "") for link in source.urdf.root.findall("link"))
+    return _RobotSpec(spec, tuple(notes), tuple(info_notes), semantics, links_without_contact_rules, unread, drawn)
 
 
 def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:

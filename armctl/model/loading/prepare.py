@@ -27,7 +27,7 @@ class PreparedModel:
     model: mujoco.MjModel
     plans: tuple[ArmPlan, ...]  # the arms; their bodies are numbered as in this model
     notes: tuple[str, ...]  # what was changed besides the motors, one sentence each; they are reported as warnings
-    quiet_notes: tuple[str, ...]  # changes that need no warning, one sentence each
+    info_notes: tuple[str, ...]  # changes that need no warning, one sentence each
     unchecked_links: tuple[str, ...] = ()  # links without a collision shape that they need
     shape_note: str = ""  # what is noted about them, one sentence; empty if there are none
 
@@ -37,12 +37,12 @@ def make_arm_model(
     spec: mujoco.MjSpec,
     analysis: Transmissions,
     plans: Sequence[ArmPlan],
-    loose_links: Collection[str] = (),
+    links_without_contact_rules: Collection[str] = (),
     edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> PreparedModel:
     """Gives the arms torque motors, adds the target and compiles; `spec`, from which `analysis.model` came, is changed.
 
-    `loose_links` are bodies of which no file says which of them may touch: those that touch at home may. `edit` is the last
+    `links_without_contact_rules` are bodies of which no file says which of them may touch: those that touch at home may. `edit` is the last
     change.
     """
     original = analysis.model
@@ -65,8 +65,8 @@ def make_arm_model(
             if (first, second) not in neighbors:
                 spec.add_exclude(bodyname1=first, bodyname2=second)
             notes.append(f"{first} overlaps with {second} wherever the arm is; their contact is left out")
-    if loose_links:
-        notes += _exclude_touching(spec, original, plans, loose_links)
+    if links_without_contact_rules:
+        notes += _exclude_touching(spec, original, plans, links_without_contact_rules)
     add_target(spec)
     add_payload_bodies(spec, original, {plan.tip.body: bodies[plan.tip.body] for plan in plans})
     if edit is not None:

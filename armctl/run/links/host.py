@@ -53,13 +53,13 @@ class Played(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Course:
+class _TimedMotion:
     at: int
     pieces: Pieces
     rows: Array
 
     @classmethod
-    def from_pieces(cls, at: int, pieces: Pieces, dt: float) -> _Course:
+    def from_pieces(cls, at: int, pieces: Pieces, dt: float) -> _TimedMotion:
         ticks = int(np.ceil(pieces.knots[-1] / dt - 1e-9))
         return cls(at, pieces, sample(pieces, dt * np.arange(ticks + 1, dtype=np.float64)).q)
 
@@ -77,22 +77,22 @@ class Player:
         self._limits = limits
         self._lead = lead
         self._lock = Lock()
-        self._courses = [_Course.from_pieces(0, standing(q), dt)]  # each until the next one begins
+        self._motions = [_TimedMotion.from_pieces(0, standing(q), dt)]  # each until the next one begins
         self._stopped_from = _NEVER
 
     @property
     def end(self) -> int:
         """The first tick at which it rests, if nothing changes."""
         with self._lock:
-            last = self._courses[-1]
+            last = self._motions[-1]
             return last.at + len(last.rows) - 1
 
     def next(self, ticks: int = 1) -> Array:
         with self._lock:
             self.tick += ticks
-            while len(self._courses) > 1 and self._courses[1].at <= self.tick:
-                self._courses.pop(0)
-            return self._courses[0].row(self.tick)
+            while len(self._motions) > 1 and self._motions[1].at <= self.tick:
+                self._motions.pop(0)
+            return self._motions[0].row(self.tick)
 
     def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> Played:
         """Replaces what follows a tick by a motion to rest."""
@@ -105,14 +105,14 @@ class Player:
             late = self.tick - first + 1
             if late > 0:
                 return Played(first, f"the motion came {self.dt * late:.3f} s too late", late=late)
-            before = self._courses[-1]
+            before = self._motions[-1]
             if first < before.at:
                 return Played(first, "the motion starts before the one that was sent last")
-            course = _Course.from_pieces(first, pieces, self.dt)
-            gap = float(np.abs(course.rows[0] - before.row(first)).max())
+            motion = _TimedMotion.from_pieces(first, pieces, self.dt)
+            gap = float(np.abs(motion.rows[0] - before.row(first)).max())
             if gap > JOIN_TOLERANCE:
                 return Played(first, f"the motion starts {gap:.2g} rad from where the last one is then")
-            self._courses.append(course)
+            self._motions.append(motion)
         return Played(first)
 
     def stop(self) -> None:
@@ -121,14 +121,14 @@ class Player:
         while self._stopped_from == _NEVER:
             with self._lock:
                 tick = self.tick + lead
-                course = [each for each in self._courses if each.at <= tick][-1]
-            t = self.dt * (tick - course.at)
-            braked = course
-            if t < course.pieces.knots[-1]:
-                braked = _Course.from_pieces(course.at, stopped(course.pieces, self._limits, t), self.dt)
+                motion = [each for each in self._motions if each.at <= tick][-1]
+            t = self.dt * (tick - motion.at)
+            braked = motion
+            if t < motion.pieces.knots[-1]:
+                braked = _TimedMotion.from_pieces(motion.at, stopped(motion.pieces, self._limits, t), self.dt)
             with self._lock:
-                if self.tick < tick and course in self._courses:
-                    self._courses = [*self._courses[: self._courses.index(course)], braked]
+                if self.tick < tick and motion in self._motions:
+                    self._motions = [*self._motions[: self._motions.index(motion)], braked]
                     self._stopped_from = tick
             lead *= 2  # if planning the stop took too long
 

@@ -1,4 +1,4 @@
-"""Bench: everything that the runs of a study share, and a run. Workers make it from plain data and keep it."""
+"""StudyRunner: everything that the runs of a study share, and a run. Workers make it from plain data and keep it."""
 
 import hashlib
 import importlib
@@ -79,7 +79,7 @@ class StudyRun(NamedTuple):
 Outcome = dict[str, Any]  # "ok", "reason", "completed", the figures, "contacts", "digest"
 
 
-class Bench:
+class StudyRunner:
     """The arm, the motions and the controllers of a study. Threads may share it."""
 
     def __init__(self, setup: Mapping[str, Any]):
@@ -217,21 +217,21 @@ def _imported(name: str) -> Any:
         raise InputError(f"controllers: {name!r:.80} cannot be imported ({type(error).__name__}: {error!s:.120})") from None
 
 
-_benches_lock = threading.Lock()
+_runners_lock = threading.Lock()
 
 
 @lru_cache(maxsize=2)
-def _kept_bench(setup: str) -> Bench:
-    bench = Bench(json.loads(setup))
+def _kept_runner(setup: str) -> StudyRunner:
+    runner = StudyRunner(json.loads(setup))
     release_loading_memory()  # there may be many workers on a machine
-    return bench
+    return runner
 
 
 def run_chunk(setup: str, runs: Sequence[StudyRun]) -> list[Outcome]:
     """Makes runs, in a worker. Equal runs have equal bits, whichever worker makes them, in whichever order."""
-    with _benches_lock:
-        bench = _kept_bench(setup)
-    return bench.outcomes(runs)
+    with _runners_lock:
+        runner = _kept_runner(setup)
+    return runner.outcomes(runs)
 
 
 def failed_outcome(reason: str) -> Outcome:
