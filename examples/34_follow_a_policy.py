@@ -33,4 +33,4 @@ for tick in range(int(6.0 / sim.dt)):
 
 error = np.array(wanted) - np.array(reached)
 print(f"distance from the policy: {1e3 * np.sqrt((error[500:] ** 2).mean()):.1f} mrad RMS")
-print(f"rows that were past when they arrived: {stream.report.dropped}; pushes refused: {stream.report.refused}")
+print(f"targets that were past when they arrived: {stream.report.dropped}; pushes refused: {stream.report.refused}")

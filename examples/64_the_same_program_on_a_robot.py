@@ -14,6 +14,6 @@ for robot in robots:
     print(robot.move_to([0.45, 0.2, 0.4]))
     print(robot.move_l(armctl.Pose([0.45, 0.2, 0.5], robot.tip.quat)))
     print(robot.move_l([1.5, 0, 0.2]))
-    print(f"{robot.log.plant}: {len(robot.log)} rows of {1e3 * robot.dt:g} ms in the last move")
+    print(f"{robot.log.plant}: {len(robot.log)} ticks of {1e3 * robot.dt:g} ms in the last move")
     if isinstance(robot, armctl.Robot):
         robot.close()

@@ -57,19 +57,19 @@ class Ghost:
 
 
 class RobotDrawing:
-    """A robot in a scene: as it measures itself, and as a ghost where it was told to be."""
+    """A robot in a scene: as it measures itself, and as a ghost where it was commanded to be."""
 
     def __init__(self, scene: WebScene, arm: Arm, name: str):
         self._scene = scene
         self._arm = arm
         self._name = name
         self._ghost_shown_at = -np.inf
-        self._ghost = Ghost(scene.server, arm, "/told")
+        self._ghost = Ghost(scene.server, arm, "/commanded")
         self._ghost.show(arm.home)  # makes it now: a robot that moves would brake meanwhile
         self._ghost.show(None)
 
     def show(self, q: Array, q_told: Array | None, state: str) -> None:
-        """Draws it with joints q (n,) rad; with None as what it was told, there is no ghost. Waits for nothing."""
+        """Draws it with joints q (n,) rad; with None as the command, there is no ghost. Waits for nothing."""
         if self._scene.is_closed:
             return
         self._scene.show(self._arm.qpos(q))

@@ -1,4 +1,4 @@
-"""RobotPage: a robot on a web page, beside where it was told to be, which a visitor's hand moves as long as it holds on."""
+"""RobotPage: a robot on a web page, beside its last command, which a visitor's hand moves as long as it holds on."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MAX_DRAG_TURN = 0.5  # rad/s
 
 
 class RobotPage:
-    """A robot on a page: as it measures itself, and as a ghost where it was told to be.
+    """A robot on a page: as it measures itself, and as a ghost where it was commanded to be.
 
     It moves while one visitor holds a key, a button or a handle, and brakes when that ends. Each motion is proved and checked.
     """
@@ -95,7 +95,7 @@ class RobotPage:
         return _shortened(linear, _MAX_DRAG_SPEED), _shortened(angular, _MAX_DRAG_TURN)
 
     def _show(self, q_ref: Array | None) -> None:
-        """Draws the robot where it measures itself, and the ghost where it was told to be while it moves."""
+        """Draws the robot where it measures itself, and the ghost where it was commanded to be while it moves."""
         q = self.robot.state.q
         if self._holder is None:
             tip = self.robot.tip

@@ -27,8 +27,8 @@ _R = TypeVar("_R")
 class ArmModel:
     """The m joints of an arm's chain and the n driven ones among them, for one control period; a pytree.
 
-    Every joint turns about, or slides along, the z axis of its own frame. The attributes up to `has_dry_friction` are static: they
-    decide what is compiled. The others are arrays, so `vmap` can map over arms that differ in them.
+    Every joint turns about, or slides along, the z axis of its own frame. The attributes up to `has_dry_friction` are static:
+    they decide what is compiled. The others are arrays, so `vmap` can map over arms that differ in them.
 
     Attributes:
         parents: Of each joint, the joint before it; -1 for the base.

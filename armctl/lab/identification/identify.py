@@ -19,7 +19,7 @@ from armctl.model.arm.arm import Arm, check_arm
 FRICTION_MODELS = ("none", "coulomb+viscous", "stribeck")
 _MIN_DURATION_S = 2.0
 _MIN_ROWS = 50  # filtered, of the fit
-_MIN_HELD_OUT_ROWS = 10
+_MIN_HELD_OUT_SAMPLES = 10
 _MIN_SPEED = 0.02  # rad/s (m/s): a joint that never moves faster stands still
 # A base parameter counts as excited if the data reduce its standard deviation to this share of that before any data.
 _MAX_UNCERTAINTY_SHARE = 0.5
@@ -38,7 +38,7 @@ class _Base(NamedTuple):
 
     leading: IntArray  # (b,) the parameter that leads each combination
     combination: Array  # (b, p), in units of the prior's standard deviations
-    rows: Array  # (T, n, b), the torques of random states for a standard deviation of the prior, as shares of a typical torque
+    torques: Array  # (T, n, b), torques of random states for a standard deviation of the prior, as shares of a typical torque
 
 
 def identify(
@@ -161,19 +161,19 @@ def _base_parameters(fit: ParameterFit) -> _Base:
     """Base parameters by QR with pivoting of the regressor of random states, its columns in units of the prior."""
     regressor = fit.regressor
     states = regressor.random_states()
-    rows = regressor.rows(*states, fit.shape)
+    torques = regressor.rows(*states, fit.shape)
     if regressor.layout.has_friction:
         joints = np.arange(regressor.layout.n)
-        rows[:, joints, regressor.layout.coulomb.start + joints] = fit.friction_effect(states[1])
-    rows /= _typical_torque(fit)[:, None]
-    W = rows.reshape(-1, regressor.layout.size) * regressor.prior
+        torques[:, joints, regressor.layout.coulomb.start + joints] = fit.friction_effect(states[1])
+    torques /= _typical_torque(fit)[:, None]
+    W = torques.reshape(-1, regressor.layout.size) * regressor.prior
     R, order, count = pivoted_qr(W)
     dependent = np.linalg.solve(R[:count, :count], R[:count, count:])
     combination = np.zeros((count, len(order)))
     combination[np.arange(count), order[:count]] = 1.0
     combination[:, order[count:]] = dependent
     leading = order[:count]
-    return _Base(leading, combination, (rows * regressor.prior)[:, :, leading])
+    return _Base(leading, combination, (torques * regressor.prior)[:, :, leading])
 
 
 def _typical_torque(fit: ParameterFit) -> Array:
@@ -185,36 +185,36 @@ def _typical_torque(fit: ParameterFit) -> Array:
 
 def _hidden(base: _Base, covariance: Array) -> BoolArray:
     """Base parameters that leave torques of random states uncertain, if any are: uncertain alone, they do no harm."""
-    torques = np.sqrt(np.einsum("tni,ij,tnj->n", base.rows, covariance, base.rows) / len(base.rows))
+    torques = np.sqrt(np.einsum("tni,ij,tnj->n", base.torques, covariance, base.torques) / len(base.torques))
     if (torques < _SIGNIFICANT_SHARE).all():
         return np.zeros(len(covariance), bool)
     deviation = np.sqrt(np.diag(covariance))
-    effect = np.sqrt((base.rows**2).mean(axis=0)).max(axis=0) * deviation
+    effect = np.sqrt((base.torques**2).mean(axis=0)).max(axis=0) * deviation
     hidden = (deviation > _MAX_UNCERTAINTY_SHARE * np.linalg.norm(base.combination, axis=1)) & (effect > _SIGNIFICANT_SHARE)
     hidden[int(effect.argmax())] = True
     return hidden
 
 
 def _validated(fit: ParameterFit) -> Validation:
-    rows = fit.held_out
+    held_out = fit.held_out
     arm = fit.regressor.arm
-    predicted = fit.predicted(rows)
-    by_model = rows.start
-    if len(rows) < _MIN_HELD_OUT_ROWS:
+    predicted = fit.predicted(held_out)
+    by_model = held_out.start
+    if len(held_out) < _MIN_HELD_OUT_SAMPLES:
         rms = np.full(arm.n, np.nan)
         model_rms = rms
         relative = rms
-        reason = f"only {len(rows)} rows are held out, and at least {_MIN_HELD_OUT_ROWS} are needed; record a longer motion"
+        reason = f"only {len(held_out)} samples are held out, {_MIN_HELD_OUT_SAMPLES} are needed; record a longer motion"
     else:
-        rms = np.sqrt(((rows.tau - predicted) ** 2).mean(axis=0))
-        model_rms = np.sqrt(((rows.tau - by_model) ** 2).mean(axis=0))
-        relative = rms / np.maximum(rows.tau.std(axis=0), np.finfo(float).tiny)
+        rms = np.sqrt(((held_out.tau - predicted) ** 2).mean(axis=0))
+        model_rms = np.sqrt(((held_out.tau - by_model) ** 2).mean(axis=0))
+        relative = rms / np.maximum(held_out.tau.std(axis=0), np.finfo(float).tiny)
         reason = _failure(fit, rms, model_rms, relative)
     return Validation(
         ok=not reason,
         reason=reason,
-        t=frozen(rows.t.copy()),
-        measured=frozen(rows.tau.copy()),
+        t=frozen(held_out.t.copy()),
+        measured=frozen(held_out.tau.copy()),
         predicted=frozen(predicted),
         by_model=frozen(by_model),
         rms=frozen(rms),
@@ -244,7 +244,7 @@ def _reason(fit: ParameterFit, unexcited: tuple[str, ...], condition: float, val
     arm = fit.regressor.arm
     training = fit.training
     if len(training) < _MIN_ROWS:
-        return f"only {len(training)} independent rows at a cut-off of {fit.cutoff:.3g} Hz; record a longer motion"
+        return f"only {len(training)} independent samples at a cut-off of {fit.cutoff:.3g} Hz; record a longer motion"
     still = np.abs(training.v).max(axis=0) < _MIN_SPEED
     if still.any():
         names = tuple(name for name, is_still in zip(arm.joint_names, still, strict=True) if is_still)

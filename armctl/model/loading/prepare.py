@@ -42,8 +42,8 @@ def make_arm_model(
 ) -> PreparedModel:
     """Gives the arms torque motors, adds the target and compiles; `spec`, from which `analysis.model` came, is changed.
 
-    `links_without_contact_rules` are bodies of which no file says which of them may touch: those that touch at home may. `edit` is the last
-    change.
+    `links_without_contact_rules` are bodies of which no file says which of them may touch: those that touch at home
+    may. `edit` is the last change.
     """
     original = analysis.model
     bodies = {body.id: body for body in spec.bodies}

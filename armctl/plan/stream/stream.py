@@ -28,13 +28,13 @@ from armctl.plan.motion.trajectory.piecewise import Pieces, basis, standing
 from armctl.plan.stream.committed_motion import CommittedMotion, end_state
 from armctl.plan.stream.timed_targets import TimedTargets
 
-MAX_ROWS = 1000  # of a chunk
+MAX_TARGETS = 1000  # of a chunk
 _MAX_AHEAD_S = 60.0  # of a target: a later one has a wrong clock
 _MAX_TICKS = 1_000_000  # in one answer
 _HISTORY_TICKS = 2000  # of past setpoints, with which late targets are compared
 _AT_LIMIT = 0.999  # share of a limit
 _TICKS_PER_LIMIT_CHECK = 8  # a tick takes a third longer with a check
-_TWIST_STEP_S = 0.05  # between the rows into which a velocity of the tip is turned
+_TWIST_STEP_S = 0.05  # between the targets into which a velocity of the tip is turned
 _TWIST_STEPS = 4
 _MAX_TWIST = 100.0  # m/s, rad/s: no arm is as fast
 # A joint that turns further for a smaller step of the target changes the posture of the arm.
@@ -50,7 +50,7 @@ class StreamReport:
     Attributes:
         lag_s: s by which the arm is behind its targets, at the times for which they were meant; negative if it is ahead.
         rms: rad (m for a slide joint), root mean square of the distance between arm and targets at those times, over joints.
-        targets: How many targets or rows were taken.
+        targets: How many targets were taken, those of chunks among them.
         late: How many of them were meant for a time that had passed already. Single targets usually are; their motion is
             predicted from there on.
         dropped: How many were not newer than the last one, or past when their chunk arrived.
@@ -201,31 +201,31 @@ class Stream:
         self._targets.push(time, target, self._t)
         self._plan()
 
-    def push_chunk(self, times: ArrayLike, rows: ArrayLike) -> None:
+    def push_chunk(self, times: ArrayLike, q: ArrayLike) -> None:
         """Takes a list of targets, as policies emit them. It replaces the earlier ones from its first time on.
 
-        The arm passes each row at its time if the limits allow, and rests at the last one. Rows that are past already are left
-        out.
+        The arm passes each target at its time if the limits allow, and rests at the last one. Those that are past already are
+        left out.
 
         Args:
             times: (K,) s, increasing, in the stream's time.
-            rows: (K, n) rad.
+            q: (K, n) rad, the targets.
 
         Raises:
-            InputError: Wrong shapes, more than 1000 rows, numbers that are not finite, times that do not increase or are more
-                than a minute ahead; nothing changes.
+            InputError: Wrong shapes, more than 1000 targets, numbers that are not finite, times that do not increase or are
+                more than a minute ahead; nothing changes.
             LimitError: A position far outside the limits; nothing changes.
         """
         t = vector("times", times)
-        q = matrix("rows", rows, self._arm.n)
-        if len(q) != len(t):
-            raise InputError(f"rows: {len(q)} rows for {len(t)} times; each row needs one")
-        if not 1 <= len(t) <= MAX_ROWS:
-            raise InputError(f"times: a chunk has 1 to {MAX_ROWS} rows, got {len(t)}")
+        targets = matrix("q", q, self._arm.n)
+        if len(targets) != len(t):
+            raise InputError(f"q: {len(targets)} targets for {len(t)} times; each target needs one")
+        if not 1 <= len(t) <= MAX_TARGETS:
+            raise InputError(f"times: a chunk has 1 to {MAX_TARGETS} targets, got {len(t)}")
         if (np.diff(t) <= 0).any():
-            raise InputError("times: they must increase from row to row")
+            raise InputError("times: they must increase from target to target")
         self._time("times", float(t[-1]))
-        clamped = self._clamped(q)
+        clamped = self._clamped(targets)
         ahead = t > self._t
         self._counts["dropped"] += int((~ahead).sum())
         self._counts["targets"] += int(ahead.sum())
@@ -276,14 +276,14 @@ class Stream:
         w = np.clip(vector("angular", angular, 3), -_MAX_TWIST, _MAX_TWIST)
         q = self.setpoint.q
         pose = self._arm.fk(q)
-        rows = []
+        targets = []
         for k in range(1, _TWIST_STEPS + 1):
             turn = rotation_from_vector(w * k * _TWIST_STEP_S)
             goal = computed_pose(pose.position + v * k * _TWIST_STEP_S, turn @ pose.rotation)
             q = self._limits.clamp(q + _TWIST_STEP_S * self._ik.step(q, goal, _TWIST_STEP_S))
-            rows.append(q)
+            targets.append(q)
         self._targets.rest_at(q)
-        self.push_chunk(self._t + _TWIST_STEP_S * np.arange(1, _TWIST_STEPS + 1), rows)
+        self.push_chunk(self._t + _TWIST_STEP_S * np.arange(1, _TWIST_STEPS + 1), targets)
 
     def clutch(self, device: Pose) -> None:
         """Takes the pose that a hand-held device has now for the pose that the tip has now, so that neither has to move.
@@ -355,7 +355,7 @@ class Stream:
         return point
 
     def reference(self, ticks: int, dt: float, continuous: bool = False) -> TickReference:
-        """Advances by some ticks, as rows for the tick loop.
+        """Advances by some ticks, as references for the tick loop.
 
         Args:
             ticks: How many.
@@ -382,11 +382,11 @@ class Stream:
             raise InputError(f"{what}: {time:g} s is more than {_MAX_AHEAD_S:g} s ahead of the stream's time, {self._t:g} s")
         return time
 
-    def _clamped(self, rows: Array) -> Array:
-        inside = np.clip(rows, self._limits.q_min, self._limits.q_max)
-        outside = (inside != rows).any(axis=1)
+    def _clamped(self, targets: Array) -> Array:
+        inside = np.clip(targets, self._limits.q_min, self._limits.q_max)
+        outside = (inside != targets).any(axis=1)
         if outside.any():
-            self._arm.check_units("q", rows)
+            self._arm.check_units("q", targets)
         self._counts["clamped"] += int(outside.sum())
         return inside
 

@@ -58,7 +58,7 @@ class Knots(NamedTuple):
 
 
 class TimedTargets:
-    """The history of single targets, which is extrapolated, or the rows of a chunk, which are interpolated."""
+    """The history of single targets, which is extrapolated, or the targets of a chunk, which are interpolated."""
 
     def __init__(self, q: Array, v_max: Array, a_max: Array):
         """No targets: an arm with these limits, each (n,), rests at q (n,)."""
@@ -95,15 +95,15 @@ class TimedTargets:
             self._weights = _weights(self._errors)
         self.rest = q
 
-    def push_chunk(self, t: Array, rows: Array) -> None:
-        """Replaces all targets from t[0] on by rows (K, n) at the times t (K,)."""
+    def push_chunk(self, t: Array, q: Array) -> None:
+        """Replaces all targets from t[0] on by those of q (K, n) at the times t (K,)."""
         if self._chunk is not None:
-            earlier = self._chunk[0] < t[0] - 0.5 * _step(t)  # a row just before the first one would make noise a velocity
+            earlier = self._chunk[0] < t[0] - 0.5 * _step(t)  # a target just before the first one would make noise a velocity
             t = np.concatenate([self._chunk[0][earlier], t])
-            rows = np.concatenate([self._chunk[1][earlier], rows])
-        self._chunk = (t, rows)
+            q = np.concatenate([self._chunk[1][earlier], q])
+        self._chunk = (t, q)
         self._forget()
-        self.rest = rows[-1]
+        self.rest = q[-1]
 
     def rest_at(self, q: Array) -> None:
         """Forgets all targets: the arm comes to rest, near q (n,)."""
@@ -168,22 +168,22 @@ class TimedTargets:
         if len(self._history) < _MIN_FOR_SCATTER:
             fastest = self._v_max * max(t - newest, _DEFAULT_INTERVAL_S)
             return bool((np.abs(q - last) > np.maximum(fastest, _JUMP_FACTOR * self._scatter)).any())
-        times, rows = self._last()
+        times, targets = self._last()
         fitted = self._predicted(np.append(times, t))[0]
-        off = (fitted[:-1] - rows)[-_MAX_FOR_SCATTER:]
+        off = (fitted[:-1] - targets)[-_MAX_FOR_SCATTER:]
         scatter = np.sqrt((off**2).sum(axis=0) / (len(off) - _MIN_FOR_SLOPE))
         self._scatter = np.maximum(scatter, _SCATTER_MEMORY * self._scatter)
         possible = 0.5 * self._a_max * (t - newest) ** 2
         return bool((np.abs(q - fitted[-1]) > np.maximum(_JUMP_FACTOR * self._scatter, _MIN_JUMP) + possible).any())
 
     def _interpolated(self, now: float) -> Knots:
-        """The rows of the chunk that are still to come, with the derivatives of the parabola through each and its neighbors."""
+        """The targets of the chunk still to come, with the derivatives of the parabola through each and its neighbors."""
         assert self._chunk is not None
         t, q = self._chunk
         v, a = _parabolas(t, q)
         v[-1] = 0.0  # the source may send nothing more
         a[-1] = 0.0
-        ahead = t > now + 0.5 * _step(t)  # a row that is nearer could only be met by a jerk
+        ahead = t > now + 0.5 * _step(t)  # a target that is nearer could only be met by a jerk
         first = max(int(ahead.argmax()) - 1, 0) if ahead.any() else len(t)
         self._chunk = (t[first:], q[first:])
         count = int(ahead.sum())
@@ -192,10 +192,10 @@ class TimedTargets:
 
 
 def _fits(t: Array, q: Array) -> Array:
-    """Least-squares polynomials through the last of some rows q (K, n) at the times t (K,).
+    """Least-squares polynomials through the last of some targets q (K, n) at the times t (K,).
 
     Returns:
-        (F, 3, n) coefficients of each of _FITS, of powers of the time since the last row.
+        (F, 3, n) coefficients of each of _FITS, of powers of the time since the last target.
     """
     counts = np.minimum(_COUNTS, len(t))
     degrees = np.minimum(_DEGREES, 1) if len(t) < _MIN_FOR_CURVATURE else _DEGREES
@@ -228,12 +228,12 @@ def _weights(products: Array) -> Array:
 
 
 def _step(t: Array) -> float:
-    """s between two rows of a chunk, at most the longest interval that counts as a motion."""
+    """s between two targets of a chunk, at most the longest interval that counts as a motion."""
     return min(float(np.median(np.diff(t))) if len(t) > 1 else _DEFAULT_INTERVAL_S, _MAX_INTERVAL_S)
 
 
 def _parabolas(t: Array, q: Array) -> tuple[Array, Array]:
-    """Velocity and acceleration (K, n) at each row, of the parabola through it and its neighbors; of the line at the ends."""
+    """Velocities and accelerations (K, n) at targets, of the parabola through each and its neighbors; of the line at the ends."""
     v = np.zeros_like(q)
     a = np.zeros_like(q)
     if len(t) < 2:

@@ -25,7 +25,7 @@ _Run = Callable[[Controller, TickReference, Recorder], None]
 
 
 class ContactReaction:
-    """Stops a motion on its path where a contact is felt; the arm then stays, goes back along the path, or floats.
+    """Stops a motion on its path where a contact is detected; the arm then stays, goes back along the path, or floats.
 
     Assign it to `Simulation.reaction`, whose ticks are then run in Python, or to `Robot.reaction`. All motions keep the limits
     of the arm.
@@ -34,8 +34,8 @@ class ContactReaction:
         force: The observer.
         reaction: "stop", "retreat" or "float".
         duration: s, how far back along the path a retreat goes, or how long the arm floats.
-        contact: What was felt in the last motion; empty if nothing was.
-        time: s of simulated time, or since the robot was connected, when it was felt; NaN if nothing was.
+        contact: What was detected in the last motion; empty if nothing was.
+        time: s of simulated time, or since the robot was connected, when it was detected; NaN if nothing was.
     """
 
     def __init__(self, arm: Arm, force: ExternalForce | None = None, reaction: str = "stop", duration: float = 0.3):
@@ -66,14 +66,14 @@ class ContactReaction:
 
     @property
     def felt(self) -> str:
-        """What was felt, and when; empty if nothing was."""
+        """The contact that was detected, and when; empty if nothing was."""
         return f"contact at {self.time:.3f} s: {self.contact}" if self.contact else ""
 
     def update(self, t: float, q: Array, v: Array, torque: Array, dt: float) -> None:
-        """Takes the measurements of a tick, as `ExternalForce.update`; the first alarm is what was felt.
+        """Takes the measurements of a tick, as `ExternalForce.update`; the first alarm is the contact that counts.
 
         Args:
-            t: s, what `time` becomes if a contact is felt.
+            t: s, what `time` becomes if a contact is detected.
             torque: (n,) N m, of the motors.
             dt: s since the last measurements.
         """
@@ -106,7 +106,7 @@ class ContactReaction:
         motor_torque: Callable[[], Array],
         state: State,
     ) -> str:
-        """Runs a motion until it ends or a contact is felt, and then the reaction.
+        """Runs a motion until it ends or a contact is detected, and then the reaction.
 
         Args:
             reference: The motion on the ticks.
@@ -115,7 +115,7 @@ class ContactReaction:
             state: Before the motion.
 
         Returns:
-            What was felt; empty if nothing was.
+            The contact that was detected; empty if there was none.
 
         Raises:
             InputError: The motion is no JointTrajectory, which can be stopped on its path.
@@ -123,24 +123,24 @@ class ContactReaction:
         if not isinstance(trajectory, JointTrajectory):
             raise InputError("reaction: only a JointTrajectory can be stopped on its path; set sim.reaction to None")
         self.reset()
-        feeling = _Feeling(controller, self, motor_torque)
+        monitored = _MonitoredController(controller, self, motor_torque)
         dt = state.dt
         step = max(1, round(_CHECK_INTERVAL_S / dt))
-        row = 0
-        while row < len(reference.q) and not self.contact:
-            run(feeling, _rows(reference, row, row + step), recorder)
-            row += step
+        tick = 0
+        while tick < len(reference.q) and not self.contact:
+            run(monitored, _section(reference, tick, tick + step), recorder)
+            tick += step
         if not self.contact:
             return ""
-        reached = min(row * dt, trajectory.duration)
+        reached = min(tick * dt, trajectory.duration)
         try:
             stop = trajectory.stopped_at(reached)
         except PlanError:
             stop = trajectory
         ticks = int(np.ceil(stop.duration / dt)) + 1
         rest = TickReference.of(stop, dt, ticks, state.continuous)
-        if ticks > row:
-            run(controller, _rows(rest, row, ticks), recorder)
+        if ticks > tick:
+            run(controller, _section(rest, tick, ticks), recorder)
         back = self.way_back(self._arm, trajectory, reached, stop(stop.duration).q)
         if back is not None:
             ticks = int(np.ceil(back.duration / dt)) + 1
@@ -159,8 +159,8 @@ def check_reaction(reaction: ContactReaction, arm: Arm) -> None:
         raise InputError(f"reaction: it is of an arm with {', '.join(reaction.joint_names):.100}; this one has {own:.100}")
 
 
-class _Feeling:
-    """A controller beside which a reaction feels."""
+class _MonitoredController:
+    """A controller, at each tick of which a reaction looks for contacts."""
 
     def __init__(self, controller: Controller, reaction: ContactReaction, motor_torque: Callable[[], Array]):
         self.name = controller_name(controller)
@@ -175,5 +175,5 @@ class _Feeling:
         return self._controller.torque(state, setpoint)
 
 
-def _rows(reference: TickReference, first: int, end: int) -> TickReference:
+def _section(reference: TickReference, first: int, end: int) -> TickReference:
     return TickReference(*(column[first:end] for column in reference))

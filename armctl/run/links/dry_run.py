@@ -24,7 +24,7 @@ class Rehearsal:
     """What one command would have sent.
 
     Attributes:
-        rows: How many rows of positions.
+        samples: How many positions of the joints, one each tick.
         duration: s.
         speed: rad/s, the greatest of a joint.
         acceleration: rad/s^2, likewise.
@@ -37,7 +37,7 @@ class Rehearsal:
         refusal: Why nothing would be sent; empty if something would.
     """
 
-    rows: int
+    samples: int
     duration: float
     speed: float
     acceleration: float
@@ -55,7 +55,7 @@ class Rehearsal:
         else:
             near = "nothing can touch" if np.isinf(self.clearance) else f"clearance {1e3 * self.clearance:.1f} mm"
         return (
-            f"{self.rows} rows, {self.duration:.2f} s, joints {self.speed:.3g} rad/s, {self.acceleration:.3g} rad/s^2, "
+            f"{self.samples} samples, {self.duration:.2f} s, joints {self.speed:.3g} rad/s, {self.acceleration:.3g} rad/s^2, "
             f"{self.jerk:.3g} rad/s^3, tip {self.tip_speed:.3g} m/s, {near}{left_out_text(self.left_out)}"
         )
 
@@ -72,7 +72,7 @@ def rehearsal_of(log: Log, checker: CollisionChecker | None) -> Rehearsal:
         some = np.unique(np.linspace(0, len(log) - 1, _CLEARANCE_SAMPLES).astype(int))
         clearance = min((d for pair, d in map(checker.nearest, log.q_ref[some]) if pair >= 0), default=np.inf)
     return Rehearsal(
-        rows=len(log),
+        samples=len(log),
         duration=len(log) * log.dt,
         speed=_peak(v),
         acceleration=_peak(a),
@@ -137,7 +137,7 @@ class DryRun:
         return self.link.tip()
 
     def start(self) -> None:
-        """A motion begins where the robot was told to be."""
+        """A motion begins at the robot's last command."""
 
     def wait(self) -> tuple[int, Seen]:
         """The next tick, at once."""

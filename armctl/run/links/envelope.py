@@ -1,4 +1,4 @@
-"""Envelope: the limits that a maker publishes, checked on the rows that will be sent."""
+"""Envelope: the limits that a maker publishes, checked on the samples that will be sent."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from armctl.core.limits import Limits, check_speed
 from armctl.core.validation import Array, instance, integer, matrix, number
 
-# Shares of the maker's limits that motions are planned with. The rest is for a lost tick: the robot continues the last rows,
-# and the next row is then a step of acceleration.
+# Shares of the maker's limits that motions are planned with. The rest is for a lost tick: the robot continues the last samples,
+# and the next one is then a step of acceleration.
 _PLANNED_V = 0.9
 _PLANNED_A = 0.6
 _PLANNED_J = 0.6
-_CHECKED = 1.0 - 1e-3  # share of the maker's limits on a, j that a row may use: differences of float32 positions are noisy
+_CHECKED = 1.0 - 1e-3  # share of the maker's limits on a, j that a sample may use: differences of float32 positions are noisy
 _SPEED_MARGIN = 1e-3  # rad/s below the maker's limits on v, as in libfranka's rate limiter
 
 
@@ -80,21 +80,21 @@ class Envelope:
             lowest = np.maximum(lowest, -np.maximum(down, 0.0))
         return lowest + _SPEED_MARGIN, highest - _SPEED_MARGIN
 
-    def refusal(self, rows: Array, before: Array, dt: float) -> str:
-        """Why rows must not be sent; empty if they may.
+    def refusal(self, samples: Array, before: Array, dt: float) -> str:
+        """Why samples must not be sent; empty if they may.
 
         Args:
-            rows: (T, n) rad, one each tick.
+            samples: (T, n) rad, one each tick.
             before: (3, n) rad, what was sent before them.
             dt: s, the tick.
 
         Raises:
             InputError: An argument has another shape, or the tick is not above 0.
         """
-        rows = matrix("rows", rows, len(self.limits.q_min), finite=False)
+        samples = matrix("samples", samples, len(self.limits.q_min), finite=False)
         before = matrix("before", before, len(self.limits.q_min), finite=False)
-        integer("before: rows", len(before), 3, 3)
-        q = np.vstack([before, rows])
+        integer("before: samples", len(before), 3, 3)
+        q = np.vstack([before, samples])
         dt = number("dt", dt, 1e-9)
         v = np.diff(q, axis=0) / dt
         a = np.diff(v, axis=0) / dt
@@ -102,15 +102,15 @@ class Envelope:
         v = v[2:]
         a = a[1:]
         limits = self.limits
-        low, high = self.speed_limits(rows)
+        low, high = self.speed_limits(samples)
         still = v == 0.0  # a joint may stand where the maker allows no speed
         outside = {
-            "is at {:.4g} rad, outside [{:.4g}, {:.4g}]": (rows, limits.q_min, limits.q_max),
+            "is at {:.4g} rad, outside [{:.4g}, {:.4g}]": (samples, limits.q_min, limits.q_max),
             "moves at {:.4g} rad/s, outside [{:.4g}, {:.4g}]": (v, np.where(still, 0.0, low), np.where(still, 0.0, high)),
             "accelerates at {:.4g} rad/s^2, outside [{:.4g}, {:.4g}]": (a, -_CHECKED * limits.a_max, _CHECKED * limits.a_max),
             "has a jerk of {:.4g} rad/s^3, outside [{:.4g}, {:.4g}]": (j, -_CHECKED * limits.j_max, _CHECKED * limits.j_max),
         }
-        first = len(rows)
+        first = len(samples)
         reason = ""
         for words, (values, lowest, highest) in outside.items():
             lowest = np.broadcast_to(lowest, values.shape)

@@ -1,4 +1,4 @@
-"""Player: plays motions row by row. What it holds always ends at rest, and a stop never leaves the path.
+"""Player: plays motions sample by sample. What it holds always ends at rest, and a stop never leaves the path.
 
 LinkHost: opens a link, plays motions on it and keeps its readings, in the planner's process or in one of its own.
 """
@@ -18,11 +18,11 @@ from armctl.plan.motion.trajectory.path_stop import REST_SPEED, stopped
 from armctl.plan.motion.trajectory.piecewise import Pieces, sample, standing
 from armctl.run.links.link import Link, Seen
 
-START_TOLERANCE = 1e-5  # rad, between what the robot was told and the start of a motion; the wire may have single precision
+START_TOLERANCE = 1e-5  # rad, between the last command and the start of a motion; the wire may have single precision
 JOIN_TOLERANCE = 1e-6  # rad, between the end of one motion and the start of the next; single precision is 1e-7
 _NEVER = 2**60
 _IDLE_S = 0.1  # at rest, until a stream ends
-_LEAD_S = 0.02  # between a word and its effect, where time passes by itself
+_LEAD_S = 0.02  # between a request and its effect, where time passes by itself
 
 
 class Readings(NamedTuple):
@@ -33,11 +33,11 @@ class Readings(NamedTuple):
     q: Array  # (m, n) rad
     v: Array  # (m, n) rad/s
     tau: Array  # (m, n) N m
-    sent: Array  # (m, n) rad, the rows that were sent
+    sent: Array  # (m, n) rad, the positions that were sent
 
 
 class Progress(NamedTuple):
-    tick: int  # the tick of its last row
+    tick: int  # the tick of its last sample
     streaming: bool  # whether it goes on
     fault: str  # why the robot ended it; empty if it did not
     stopped: str  # why it was stopped; empty if it was not
@@ -56,23 +56,23 @@ class Played(NamedTuple):
 class _TimedMotion:
     at: int
     pieces: Pieces
-    rows: Array
+    samples: Array  # (T, n) rad, one each tick
 
     @classmethod
     def from_pieces(cls, at: int, pieces: Pieces, dt: float) -> _TimedMotion:
         ticks = int(np.ceil(pieces.knots[-1] / dt - 1e-9))
         return cls(at, pieces, sample(pieces, dt * np.arange(ticks + 1, dtype=np.float64)).q)
 
-    def row(self, tick: int) -> Array:
-        return self.rows[min(max(tick - self.at, 0), len(self.rows) - 1)]
+    def sample_at(self, tick: int) -> Array:
+        return self.samples[min(max(tick - self.at, 0), len(self.samples) - 1)]
 
 
 class Player:
-    """The rows of one stream. `play` and `stop` may be called by another thread than `next`."""
+    """The samples of one stream. `play` and `stop` may be called by another thread than `next`."""
 
     def __init__(self, q: Array, dt: float, limits: Limits, lead: int):
-        """A player that stands at q. A word, such as a stop, has its effect after `lead` ticks: a stop has to be planned."""
-        self.tick = -1  # the tick of the last row; -1 before the first
+        """A player that stands at q. A request, such as a stop, has its effect after `lead` ticks: a stop has to be planned."""
+        self.tick = -1  # the tick of the last sample; -1 before the first
         self.dt = dt  # s
         self._limits = limits
         self._lead = lead
@@ -85,14 +85,14 @@ class Player:
         """The first tick at which it rests, if nothing changes."""
         with self._lock:
             last = self._motions[-1]
-            return last.at + len(last.rows) - 1
+            return last.at + len(last.samples) - 1
 
     def next(self, ticks: int = 1) -> Array:
         with self._lock:
             self.tick += ticks
             while len(self._motions) > 1 and self._motions[1].at <= self.tick:
                 self._motions.pop(0)
-            return self._motions[0].row(self.tick)
+            return self._motions[0].sample_at(self.tick)
 
     def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> Played:
         """Replaces what follows a tick by a motion to rest."""
@@ -109,7 +109,7 @@ class Player:
             if first < before.at:
                 return Played(first, "the motion starts before the one that was sent last")
             motion = _TimedMotion.from_pieces(first, pieces, self.dt)
-            gap = float(np.abs(motion.rows[0] - before.row(first)).max())
+            gap = float(np.abs(motion.samples[0] - before.sample_at(first)).max())
             if gap > JOIN_TOLERANCE:
                 return Played(first, f"the motion starts {gap:.2g} rad from where the last one is then")
             self._motions.append(motion)
@@ -182,7 +182,7 @@ class LinkHost:
         if gap[joint] > START_TOLERANCE:
             return Played(
                 0,
-                f"joint {joint + 1} of the robot was told {seen.q_ref[joint]:.5f} rad, but the motion starts at "
+                f"joint {joint + 1} of the robot was commanded to {seen.q_ref[joint]:.5f} rad, but the motion starts at "
                 f"{start[joint]:.5f} rad: it moved after the motion was planned; plan again",
             )
         player = Player(start, self.link.dt, limits, self._lead)

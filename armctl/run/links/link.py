@@ -16,7 +16,7 @@ class Seen(NamedTuple):
         q: (n,) rad, measured.
         v: (n,) rad/s, measured; NaN where the robot does not tell.
         tau: (n,) N m, by torque sensors; NaN where the robot has none.
-        q_ref: (n,) rad, what the robot was told last, where a motion starts.
+        q_ref: (n,) rad, the robot's last command, where a motion starts.
         fault: The maker's words for a reflex or a stop; empty while all is well.
     """
 
@@ -79,7 +79,7 @@ class Link(Protocol):
         ...
 
     def recover(self) -> None:
-        """Clears a fault, on the user's word."""
+        """Clears a fault, because the user asked for it."""
         ...
 
     def hand(self, action: str, *arguments: float) -> Any:

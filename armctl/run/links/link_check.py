@@ -1,4 +1,4 @@
-"""LinkCheck: how regularly rows reach a robot; and whether a model is the robot that is connected."""
+"""LinkCheck: how regularly positions reach a robot; and whether a model is the robot that is connected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A LinkHost in a process of its own, with a lease: without a word of the planner, the arm brakes on its path."""
+"""A LinkHost in a process of its own, with a lease: without a request of the planner, the arm brakes on its path."""
 
 import contextlib
 import gc
@@ -54,29 +54,29 @@ def serve(descriptor: int) -> None:
 
 
 def _listen(connection: Connection, host: LinkHost, lease: float, calls: SimpleQueue[Callable[[], None]]) -> None:
-    """Takes words of the planner. Those for an open stream are answered here, all others where the link is used."""
+    """Takes requests of the planner. Those for an open stream are answered here, all others where the link is used."""
     heard = time.monotonic()
     while True:
         try:
             if connection.poll(_QUESTION_INTERVAL_S):
-                word, arguments = connection.recv()
+                request, arguments = connection.recv()
                 heard = time.monotonic()
-                if word == "close":
+                if request == "close":
                     break
-                if word == "poll" or (host.streaming and word in ("play", "stop", "read")):
-                    _answer(connection, host, word, arguments)
+                if request == "poll" or (host.streaming and request in ("play", "stop", "read")):
+                    _answer(connection, host, request, arguments)
                 else:
-                    calls.put(lambda word=word, arguments=arguments: _answer(connection, host, word, arguments))
+                    calls.put(lambda request=request, arguments=arguments: _answer(connection, host, request, arguments))
             elif time.monotonic() - heard > lease:
-                host.stop(f"the planner gave no word for {lease:g} s; the arm braked on its path")
+                host.stop(f"the planner sent nothing for {lease:g} s; the arm braked on its path")
         except (EOFError, OSError):
             break
     host.stop(_PLANNER_ENDED)
 
 
-def _answer(connection: Connection, host: LinkHost, word: str, arguments: tuple[Any, ...]) -> None:
+def _answer(connection: Connection, host: LinkHost, request: str, arguments: tuple[Any, ...]) -> None:
     try:
-        answer = getattr(host, word)(*arguments)
+        answer = getattr(host, request)(*arguments)
     except ArmctlError as error:
         answer = error
     except Exception as error:  # of a maker's client
@@ -89,7 +89,7 @@ class RemoteHost:
     """A LinkHost in a process of its own, with the same methods."""
 
     def __init__(self, link: Link, lease: float):
-        """Starts the process, which brakes the arm after `lease` s without a word."""
+        """Starts the process, which brakes the arm after `lease` s without a request."""
         self._connection, other = Pipe()
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self._process = subprocess.Popen(
@@ -124,7 +124,7 @@ class RemoteHost:
         self._call("stop", reason)
 
     def poll(self) -> Progress:
-        """It is the word that keeps the lease."""
+        """What the stream did since the last question; the question keeps the lease."""
         return self._call("poll")
 
     def close(self) -> None:
@@ -137,9 +137,9 @@ class RemoteHost:
         self._process.wait()
         self._connection.close()
 
-    def _call(self, word: str, *arguments: Any) -> Any:
+    def _call(self, request: str, *arguments: Any) -> Any:
         try:
-            self._connection.send((word, arguments))
+            self._connection.send((request, arguments))
             if not self._connection.poll(_ANSWER_TIMEOUT_S):
                 raise LinkError(f"the process that holds the link does not answer within {_ANSWER_TIMEOUT_S:g} s")
             answer = self._connection.recv()

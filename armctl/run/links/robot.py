@@ -40,7 +40,7 @@ from armctl.run.links.link_drive import LinkDrive
 from armctl.run.links.process import RemoteHost
 from armctl.run.links.robot_arms import RobotArms
 
-LEASE_S = 0.5  # without a word of the planner, until the arm brakes
+LEASE_S = 0.5  # without a request of the planner, until the arm brakes
 _SLOWEST = 0.02  # of a motion's speed; one that must be slower is refused
 _SAMPLES = 400
 
@@ -50,8 +50,8 @@ class Robot(Commands):
 
     It is no safety function: an emergency stop, the maker's safety configuration and a fence are the user's.
 
-    Before anything is sent, a motion is proved free of contacts with the model's scene, and its rows are checked against what
-    the maker publishes. They are sent by a process of its own; where the program stops, fails or hangs, the arm brakes on its
+    Before anything is sent, a motion is proved free of contacts with the model's scene, and its samples are checked against
+    what the maker publishes. They are sent by a process of its own; where the program stops, fails or hangs, the arm brakes on its
     path. A fault of the robot stays until `recover`.
 
     Attributes:
@@ -134,7 +134,7 @@ class Robot(Commands):
     def reaction(self) -> ContactReaction | None:
         """The reaction to contacts during moves and `run`, "stop" or "retreat"; None for none.
 
-        It is felt in the program, so that the arm brakes about 25 ms later; the robot's own reaction is faster.
+        It is detected in the program, so that the arm brakes about 25 ms later; the robot's own reaction is faster.
         """
         return self._arms.reaction
 
@@ -173,7 +173,7 @@ class Robot(Commands):
         self._drive.recover()
 
     def view(self) -> Any:
-        """Opens a page that shows every move: the robot as it measures itself, and a ghost where it was told to be.
+        """Opens a page that shows every move: the robot as it measures itself, and a ghost where it was commanded to be.
 
         The page commands nothing, and the robot does not wait for it. Call it before the first move: it takes seconds.
 
@@ -189,7 +189,7 @@ class Robot(Commands):
         return viewer
 
     def check(self, duration: float = 10.0) -> LinkCheck:
-        """Holds the position for a while, and measures how regularly rows are sent.
+        """Holds the position for a while, and measures how regularly positions are sent.
 
         Args:
             duration: s, how long the link is watched.
@@ -226,7 +226,7 @@ class Robot(Commands):
         self.close()
 
     def run(self, trajectory: Trajectory, dwell: float = 0.0) -> Log:
-        """Follows a trajectory that starts where the robot was told last, and ends at rest.
+        """Follows a trajectory that starts at the robot's last command, and ends at rest.
 
         Args:
             trajectory: The motion. It is not slowed down: where it exceeds a limit, it is not sent.

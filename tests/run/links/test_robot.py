@@ -167,7 +167,7 @@ def test_a_robot_that_moved_between_plan_and_start_is_sent_nothing():
     link.moves = 1
     log = robot.run(trajectory)
     assert len(log) == 0
-    assert log.failure.startswith("not sent: joint 1 of the robot was told")
+    assert log.failure.startswith("not sent: joint 1 of the robot was commanded to")
     assert "plan again" in log.failure
     assert link.sent == 0
     assert robot.move_j([0.3, 0.2, -1.2])
