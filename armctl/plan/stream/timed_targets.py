@@ -233,7 +233,7 @@ def _step(t: Array) -> float:
 
 
 def _parabolas(t: Array, q: Array) -> tuple[Array, Array]:
-    """Velocities and accelerations (K, n) at targets, of the parabola through each and its neighbors; of the line at the ends."""
+    """Velocities, accelerations (K, n) at targets: of the parabola through each and its neighbors, at the ends of the line."""
     v = np.zeros_like(q)
     a = np.zeros_like(q)
     if len(t) < 2:

@@ -51,8 +51,8 @@ class Robot(Commands):
     It is no safety function: an emergency stop, the maker's safety configuration and a fence are the user's.
 
     Before anything is sent, a motion is proved free of contacts with the model's scene, and its samples are checked against
-    what the maker publishes. They are sent by a process of its own; where the program stops, fails or hangs, the arm brakes on its
-    path. A fault of the robot stays until `recover`.
+    what the maker publishes. They are sent by a process of its own; where the program stops, fails or hangs, the arm brakes on
+    its path. A fault of the robot stays until `recover`.
 
     Attributes:
         arm: The model, with the limits of the robot's motions.
