@@ -284,7 +284,7 @@ class Log:
         """A log of commanded and measured positions, as of an arm with position servos, for `identify_servo`.
 
         Args:
-            dt: s between two rows.
+            dt: s between two samples.
             q: (T, n) rad, measured.
             q_ref: (T, n) rad, the command that is given when a position is measured.
             joint_names: The n joints, such as `arm.joint_names`.
@@ -303,7 +303,7 @@ class Log:
         if measured.shape != commanded.shape:
             raise InputError(f"q_ref: expected the shape of q, {measured.shape}, got {commanded.shape}")
         if len(measured) < _MIN_ROWS:
-            raise InputError(f"q: expected at least {_MIN_ROWS} rows, got {len(measured)}")
+            raise InputError(f"q: expected at least {_MIN_ROWS} samples, got {len(measured)}")
         dt = number("dt", dt, 1e-6, 10.0)
         t = np.asarray(dt * np.arange(len(measured)), np.float64)
         found = {"q": measured, "v": np.gradient(measured, dt, axis=0), "q_ref": commanded}

@@ -58,7 +58,7 @@ class Trajectory(Protocol):
 
 
 class TickReference(NamedTuple):
-    """A trajectory on the tick grid: rows for a `Setpoint`, each (K, n)."""
+    """A trajectory on the tick grid: the setpoints of K ticks, each (K, n)."""
 
     q: Array  # position, rad (m for a slide joint)
     v: Array  # velocity, rad/s
@@ -80,7 +80,7 @@ class TickReference(NamedTuple):
 
     @classmethod
     def between(cls, q: Array, v: Array, a: Array, before: Array, dt: float, continuous: bool = False) -> TickReference:
-        """K rows from setpoints one tick apart, each (K + 1, n), of which the last one is not a row; `continuous` as for `of`.
+        """K ticks between setpoints one tick apart, each (K + 1, n); v_tick is v where the arm moves on continuously.
 
         `before` (n,) is the position one tick before the first.
         """

@@ -109,11 +109,11 @@ def _positions(log: Log, positions: ArrayLike | None) -> Array:
     return seen
 
 
-def _transformed(multisine: Multisine, dt: float, rows: Array) -> ComplexArray:
-    """(k, n, M) the spectrum of rows (T, n) in each period, without what all share, such as drift and gravity."""
+def _transformed(multisine: Multisine, dt: float, samples: Array) -> ComplexArray:
+    """(k, n, M) the spectrum of samples (T, n) in each period, without what all share, such as drift and gravity."""
     ticks = round(multisine.period / dt)
     first = np.ceil(multisine.starts / dt - _WHOLE_TICK_TOLERANCE).astype(int)
-    windows = np.array([rows[start : start + ticks] for start in first])
+    windows = np.array([samples[start : start + ticks] for start in first])
     spectrum = np.fft.rfft(windows - windows.mean(axis=0), axis=1)
     return spectrum[:, multisine.lines].transpose(1, 2, 0)
 
@@ -122,7 +122,7 @@ def _spectra(log: Log, motion: Excitation, multisine: Multisine, seen: Array) ->
     reference = motion.sample(log.dt * np.arange(len(log), dtype=np.float64)).q
     torque = log.tau_cmd if np.isfinite(log.tau_cmd).all() else log.tau
     joints = list(multisine.joints)
-    return _Spectra(*[_transformed(multisine, log.dt, rows[:, joints]) for rows in (reference, seen, torque)])
+    return _Spectra(*[_transformed(multisine, log.dt, samples[:, joints]) for samples in (reference, seen, torque)])
 
 
 def _estimate(output: ComplexArray, given: ComplexArray, instrument: ComplexArray) -> _ResponseEstimate:

@@ -68,13 +68,14 @@ def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Vi
     items: list[Any] = list(waypoints) if isinstance(waypoints, (list, tuple)) else []
     if any(isinstance(each, Via) for each in items):
         vias = [each if isinstance(each, Via) else Via(each) for each in items]
-        rows = [vector(f"waypoints[{i}]", via.q, arm.n) for i, via in enumerate(vias)]
+        configurations = [vector(f"waypoints[{i}]", via.q, arm.n) for i, via in enumerate(vias)]
     else:
-        rows = list(matrix("waypoints", waypoints, arm.n))  # type: ignore[arg-type]
-        vias = [Via(row) for row in rows]
-    if len(rows) < 2:
-        raise InputError(f"waypoints: expected at least 2, got {len(rows)}; the first one is the start of the motion")
-    return [replace(via, q=arm.checked(f"waypoints[{i}]", row)) for i, (via, row) in enumerate(zip(vias, rows, strict=True))]
+        configurations = list(matrix("waypoints", waypoints, arm.n))  # type: ignore[arg-type]
+        vias = [Via(q) for q in configurations]
+    if len(configurations) < 2:
+        raise InputError(f"waypoints: expected at least 2, got {len(configurations)}; the first one is the start of the motion")
+    pairs = enumerate(zip(vias, configurations, strict=True))
+    return [replace(via, q=arm.checked(f"waypoints[{i}]", q)) for i, (via, q) in pairs]
 
 
 def _flowing(arm: Arm, limits: Limits, vias: Sequence[Via], speed: float) -> JointTrajectory:

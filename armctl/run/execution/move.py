@@ -302,12 +302,12 @@ class ControlledArms:
         drive = self.drive
         if len(self.arms) == 1 and trajectories:
             return drive.reference(next(iter(trajectories.values())), ticks)
-        rows = TickReference(*(np.zeros((ticks, drive.actuation.n)) for _ in TickReference._fields))
-        rows.q[:] = drive.q_ref
+        reference = TickReference(*(np.zeros((ticks, drive.actuation.n)) for _ in TickReference._fields))
+        reference.q[:] = drive.q_ref
         for tip, trajectory in trajectories.items():
-            for row, column in zip(rows, drive.reference(trajectory, ticks), strict=True):
-                row[:, self._slices[tip]] = column
-        return rows
+            for whole, own in zip(reference, drive.reference(trajectory, ticks), strict=True):
+                whole[:, self._slices[tip]] = own
+        return reference
 
     def _reason(self, tip: str, move: PlannedMove, pose: Pose, is_done: bool) -> str:
         """Why a move that ran is not ok; empty if it is. One that was found done is not judged again."""

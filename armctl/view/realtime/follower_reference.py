@@ -17,7 +17,7 @@ _ACCELERATION_SCALE = 0.3  # a target moved by hand jerks; the jerk limits are s
 
 
 class FollowerReference:
-    """A reference as rows for the tick loop, a few at a time. It always is on a motion that ends at rest.
+    """A reference for the tick loop, some ticks at a time. It always is on a motion that ends at rest.
 
     Its limits are those of its arm; a stop or another speed on a path may use those of the arm itself. `q` (n,) rad is where it
     is now.
@@ -79,10 +79,10 @@ class FollowerReference:
             self._take(standing(self.arm.limits.clamp(self.q)))
         q, v, a = self._motion.sample(self._t + self._dt * np.arange(ticks + 1))[:3]
         self._t += ticks * self._dt
-        rows = TickReference.between(q, v, a, self._previous, self._dt)
+        reference = TickReference.between(q, v, a, self._previous, self._dt)
         self.q = q[-1]
         self._previous = q[-2]
-        return rows
+        return reference
 
     def _take(self, pieces: Pieces, is_planned: bool = False) -> None:
         """Goes on along a motion that starts where the reference is."""

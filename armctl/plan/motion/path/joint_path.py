@@ -111,7 +111,7 @@ class _Tracker:
         longest = fineness * total / _MIN_STEPS
         s = 0.0
         lengths = [0.0]
-        rows = [q]
+        configurations = [q]
         short_steps = 0
         while s < total:
             slope = self._slope(q, s)
@@ -128,8 +128,8 @@ class _Tracker:
             s = total if total - s - h < 1e-9 * total else s + h
             self._require_limits(q, s)
             lengths.append(s)
-            rows.append(q)
-        return np.array(lengths), np.array(rows)
+            configurations.append(q)
+        return np.array(lengths), np.array(configurations)
 
     def distances(self, q: Array, s: Array) -> Array:
         """How far the tip is from the path, (T,) m and rad, at positions (T, n) and lengths (T,)."""
