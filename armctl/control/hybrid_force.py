@@ -21,7 +21,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 FRAMES = ("world", "tip")
 
 
-class _TaskFrame(TypedDict):
+class _ForceAxes(TypedDict):
     """Arguments of the compiled law."""
 
     is_force: IntArray  # (6,) 1 for a force axis
@@ -125,7 +125,7 @@ class HybridForce(ArmController):
             **self._axes(),
         )
 
-    def _axes(self) -> _TaskFrame:
+    def _axes(self) -> _ForceAxes:
         """Of each axis whether it is a force axis, (6,), and its target, (6,) N and N m."""
         is_force = np.array([name in self._force for name in AXES], dtype=np.int64)
         return {"is_force": is_force, "targets": np.array([self._force.get(name, 0.0) for name in AXES])}

@@ -258,13 +258,13 @@ def reachability(
     planes = np.where(np.ptp(tips, axis=0) <= MAX_PLANE_DEVIATION, tips[0], np.nan)
     points = _grid(chain, spacing, region, planes)
     quaternions = even_orientations(count)
-    workers = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
+    threads = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
     rows = np.zeros((max(count, 1), 12))
     if count:
         rows[:, :9] = matrix_from_quat(quaternions.T).reshape(9, -1).T
     fraction = np.zeros(len(points))
     manipulability = np.zeros(len(points))
-    with progress_bar("reachability", len(points), "points") as progress, ThreadPoolExecutor(workers) as pool:
+    with progress_bar("reachability", len(points), "points") as progress, ThreadPoolExecutor(threads) as pool:
         chunks = [slice(k, min(k + POINTS_PER_CHUNK, len(points))) for k in range(0, len(points), POINTS_PER_CHUNK)]
         found = pool.map(lambda chunk: _reached(arm, points[chunk], rows, count > 0), chunks)
         try:

@@ -54,12 +54,12 @@ def solve_ik_batch(
     """
     constraint, numbers = _read_targets(targets, free_axis)
     problem = read_problem(arm, constraint, numbers, q0, position_tolerance, orientation_tolerance, seed)
-    workers = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
+    threads = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
     count = len(numbers)
     parts: list[IkBatch] = []
-    with progress_bar("IK", count, "targets") as progress, ThreadPoolExecutor(workers) as pool:
+    with progress_bar("IK", count, "targets") as progress, ThreadPoolExecutor(threads) as pool:
         try:
-            for part in pool.map(lambda rows: _solve(problem, rows, q0 is not None), _chunks(count, workers)):
+            for part in pool.map(lambda rows: _solve(problem, rows, q0 is not None), _chunks(count, threads)):
                 parts.append(part)
                 progress.update(len(part.ok))
         finally:
@@ -68,13 +68,13 @@ def solve_ik_batch(
     return IkBatch(**arrays, branch=tuple(itertools.chain.from_iterable(part.branch for part in parts)))
 
 
-def _chunks(count: int, workers: int) -> list[IntArray]:
+def _chunks(count: int, threads: int) -> list[IntArray]:
     """The targets' numbers in parts, smaller towards the end, so that all threads end at about the same time."""
     chunks = []
     begin = 0
     while begin < count or not chunks:
         left = count - begin
-        end = begin + min(left, MAX_CHUNK, max(MIN_CHUNK, left // (2 * workers)))
+        end = begin + min(left, MAX_CHUNK, max(MIN_CHUNK, left // (2 * threads)))
         chunks.append(np.arange(begin, end))
         begin = end
     return chunks
