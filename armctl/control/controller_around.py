@@ -12,11 +12,14 @@ from armctl.control.gain_attribute import Gain
 from armctl.control.interface import (
     CompiledController,
     Controller,
+    ControllerWrapper,
     State,
+    Traits,
     checked_period,
-    controller_name,
     explains_wrong_arguments,
     has_compiled_law,
+    has_torque,
+    traits,
 )
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
@@ -25,18 +28,17 @@ from armctl.model.arm.arm import Arm, check_arm
 
 
 def _with_torque(name: str, controller: Controller, _n: int) -> Controller:
-    if not callable(getattr(controller, "torque", None)):
+    if not has_torque(controller):
         raise InputError(f"{name}: {shown(controller)} has no method torque; armctl.PD(arm) is one")
     return controller
 
 
-class ControllerAround(CompiledController):
+class ControllerAround(CompiledController, ControllerWrapper):
     """A controller that changes the torques of another one.
 
     Attributes:
         controller: The controller whose torques are changed.
         name: The name of the controller.
-        needs_wrench: Whether the controller needs the wrench.
     """
 
     controller: Gain[Controller] = Gain(_with_torque)
@@ -50,18 +52,18 @@ class ControllerAround(CompiledController):
         check_arm(arm)
         super().__init__(arm.n)
         self.controller = controller
-        self.name = controller_name(controller)
+        self.name = traits(controller).name
         self._inner: _core.Law | None = None
 
     @property
     def needs_wrench(self) -> bool:  # type: ignore[override]
         """Whether the controller needs the wrench."""
-        return bool(getattr(self.controller, "needs_wrench", False))
+        return traits(self.controller).needs_wrench
 
     @property
-    def needs_deflection(self) -> bool:
-        """Whether the controller needs the deflection of elastic joints."""
-        return bool(getattr(self.controller, "needs_deflection", False))
+    def traits(self) -> Traits:  # type: ignore[override]
+        """Those of the controller, under the name of this one."""
+        return traits(self.controller)._replace(name=self.name)
 
     @property
     def is_compiled(self) -> bool:
@@ -111,6 +113,9 @@ class ControllerAround(CompiledController):
                 self._inner = inner
                 self._replace_law(self._around(inner, state.dt), (state.dt, state.continuous))
         return super().begin(state)
+
+    def _take_ahead(self) -> tuple[Array, ...]:
+        return self.controller._take_ahead() if isinstance(self.controller, CompiledController) else ()
 
     def finish(self, t: float) -> None:
         """Notes that the law computed further ticks without `begin`.

@@ -14,7 +14,7 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.other_names import check_keywords
-from armctl.core.trajectory import Setpoint
+from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array, as_array, flag, instance, integer, number, shown
 from armctl.model.arm.arm import Arm, check_arm
 
@@ -52,7 +52,7 @@ class State(NamedTuple):
 
 @runtime_checkable
 class Controller(Protocol):
-    """Any object with a method `torque`. Reports show its attribute `name`, if it has one.
+    """Any object with a method `torque`. It may have the attributes of `Traits`, too; reports show its `name`.
 
     A controller with memory resets it if `state.t` is not one `state.dt` later than in the previous call.
     """
@@ -67,6 +67,45 @@ class Controller(Protocol):
             (n,) N m; the simulation clips it to the arm's limits.
         """
         ...
+
+
+class Traits(NamedTuple):
+    """What a controller is besides its torque. Each is read from the controller's attribute of the same name, if it has one.
+
+    Attributes:
+        name: In reports; by default that of the class.
+        needs_wrench: Whether it reads `State.wrench`.
+        needs_deflection: Whether it reads `State.deflection`.
+        foresee: Takes the reference of the coming ticks before each call of `torque`; None if the controller does not plan.
+    """
+
+    name: str
+    needs_wrench: bool = False
+    needs_deflection: bool = False
+    foresee: Callable[[TickReference], None] | None = None
+
+
+class ControllerWrapper:
+    """A controller that runs others, and is besides its torque what they are.
+
+    Attributes:
+        traits: Those of the controller that it runs, or of all together.
+    """
+
+    traits: Traits
+
+
+def traits(controller: object) -> Traits:
+    """What a controller is besides its torque."""
+    if isinstance(controller, ControllerWrapper):
+        return controller.traits
+    default = Traits(name=type(controller).__name__)
+    return Traits(*(getattr(controller, name, value) for name, value in default._asdict().items()))
+
+
+def has_torque(given: object) -> TypeGuard[Controller]:
+    """Whether an object is a controller; a class of controllers is none."""
+    return not isinstance(given, type) and callable(getattr(given, "torque", None))
 
 
 class Clock:
@@ -223,12 +262,18 @@ class CompiledController(ABC):
         if law.n != self._n:
             raise InputError(f"make_law: expected a law for {self._n} joints, got one for {law.n}")
         if law.needs_wrench and not self.needs_wrench:
-            raise InputError(f"needs_wrench: the law of {controller_name(self)} reads the wrench; set it to True in the class")
+            raise InputError(f"needs_wrench: the law of {traits(self).name} reads the wrench; set it to True in the class")
         if self._law is not None and law.memory.shape == self._law.memory.shape:
             law.memory[:] = self._law.memory
         self._law = law
         self._period = period
         return law
+
+    def _take_ahead(self) -> tuple[Array, ...]:
+        """The reference of the next ticks, for one call of the law; empty unless somebody told it."""
+        ahead = self._ahead
+        self._ahead = ()
+        return ahead
 
     def finish(self, t: float) -> None:
         """Notes that the law computed further ticks without `begin`.
@@ -266,12 +311,12 @@ class CompiledController(ABC):
                 raise InputError(f"state and setpoint: every vector needs {n} numbers, one has {len(column)}")  # type: ignore[arg-type]
             rows[k] = column
         law = self.begin(state)
-        wrench = measured_wrench(state, controller_name(self)) if self.needs_wrench else _NO_WRENCH
+        wrench = measured_wrench(state, traits(self).name) if self.needs_wrench else _NO_WRENCH
         tau = rows[7]
         reference = rows[2:7]
-        if self._ahead:
-            reference = np.vstack([reference, *self._ahead])
-            self._ahead = ()
+        ahead = self._take_ahead()
+        if ahead:
+            reference = np.vstack([reference, *ahead])
         law.torque(rows[0], rows[1], reference, wrench, tau)
         return tau
 
@@ -332,11 +377,6 @@ def measured_wrench(state: State, controller: str) -> Array:
     if as_array("state.wrench", state.wrench).shape != (WRENCH_SIZE,):
         raise InputError(f"state.wrench: {controller} needs the measured wrench (6,), got {shown(state.wrench)}")
     return np.ascontiguousarray(state.wrench, dtype=np.float64)
-
-
-def controller_name(controller: Controller) -> str:
-    """The name of a controller in reports: its `name`, or that of its class."""
-    return getattr(controller, "name", type(controller).__name__)
 
 
 def has_compiled_law(controller: Controller, n: int) -> TypeGuard[CompiledController]:

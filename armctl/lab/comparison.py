@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.control.interface import Controller, controller_name
+from armctl.control.interface import Controller, traits
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import integer, number
@@ -64,7 +64,7 @@ def compare(
     ]
     if len(lists) < 2:
         raise InputError("controllers, plants: expected a list of at least one of each, such as ['pd', 'computed-torque']")
-    names = [each if isinstance(each, str) else controller_name(each) for each in controllers]
+    names = [each if isinstance(each, str) else traits(each).name for each in controllers]
     pairs = [
         _Pair(controller, plant, controller_label, plant_label)
         for plant, plant_label in zip(plants, _distinct(map(str, plants)), strict=True)

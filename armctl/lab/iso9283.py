@@ -13,7 +13,7 @@ from math import nan
 import numpy as np
 
 from armctl.control import controller_by_name
-from armctl.control.interface import Controller, controller_name
+from armctl.control.interface import Controller, traits
 from armctl.core.errors import PlanError
 from armctl.core.json_values import json_value
 from armctl.core.log import Log
@@ -217,7 +217,7 @@ def iso9283_cycles(
         ok=not reason,
         reason=reason,
         robot=arm.name,
-        controller=controller_name(controller),
+        controller=traits(controller).name,
         plant=str(plant),
         cycles=cycles,
         path_cycles=path_cycles,

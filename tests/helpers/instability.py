@@ -6,6 +6,7 @@ import numpy as np
 
 import armctl
 from armctl.control import controller_by_name
+from armctl.control.interface import traits
 from armctl.core.trajectory import Setpoint
 from armctl.lab.identification.frequency_response import Excited, standstill
 from armctl.lab.loops.loop import Loop
@@ -27,7 +28,7 @@ def grows(
     sim.reset(loop.q)
     # The torque that is added for equilibrium follows from the first call: here as measured at rest, before the kick.
     seen = sim.measured_state._replace(t=-1.0)
-    at = loop.q if getattr(law, "needs_deflection", False) else seen.q  # where what it controls rests: the links, or the motors
+    at = loop.q if traits(law).needs_deflection else seen.q  # where what it controls rests: the links, or the motors
     held.torque(seen, Setpoint(at, rest, rest, rest, rest))
     kick = np.random.default_rng(0).normal(size=arm.n) * DEVIATION
     sim.reset(loop.q + kick)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control.interface import Controller, State, controller_name
+from armctl.control.interface import Controller, ControllerWrapper, State, traits
 from armctl.core.log import Log
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.result import Verdict
@@ -218,12 +218,11 @@ def _draw(figure: Figure, found: FrequencyResponse) -> None:
     figure.suptitle(f"{found.joint}, {found.of}", fontweight="bold", x=0.01, ha="left")
 
 
-class Excited:
+class Excited(ControllerWrapper):
     """Disturbs a controller's torque at one joint by a signal, and adds a constant that holds the arm from the first tick."""
 
     def __init__(self, controller: Controller, holding_torque: Array, joint: int, signal: Array):
-        self.name = controller_name(controller)
-        self.needs_deflection = getattr(controller, "needs_deflection", False)
+        self.traits = traits(controller)
         self.commands: list[float] = []
         self._controller = controller
         self._holding_torque = holding_torque

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control.interface import CompiledController, Controller, controller_name
+from armctl.control.interface import CompiledController, Controller, traits
 from armctl.control.torque_filter import LowPass, Notch, TorqueFilter
 from armctl.core.defaults import MAX_PEAK_SENSITIVITY
 from armctl.core.result import Verdict
@@ -58,7 +58,7 @@ class FilterProposal(Verdict):
 
     def __str__(self) -> str:
         if not self.ok:
-            return f"{controller_name(self.controller)}: {self.reason}"
+            return f"{traits(self.controller).name}: {self.reason}"
         filters = ", ".join(map(str, self.filters)) or "no filter"
         margins = [f"{1e3 * each.delay_margin:.3g} ms, Ms {each.peak_sensitivity:.3g}" for each in (self.before, self.after)]
         return f"{filters}, bandwidth x {self.factor:g}: delay margin {margins[1]}; before {margins[0]}"

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control.interface import CompiledController, Controller, controller_name
+from armctl.control.interface import CompiledController, Controller, traits
 from armctl.core.errors import ArmctlError, InputError
 from armctl.core.validation import Array, integer, number
 from armctl.lab.loops.loop import MAX_DELAY_TICKS, Loop
@@ -88,7 +88,7 @@ def instability(arm: Arm, controller: Controller, q: Array, plant: Plant) -> str
             return ""
     except ArmctlError:
         return ""
-    return f"; the loop of {controller_name(controller)} is unstable at its period of {1e3 * loop.dt:g} ms: lower its gains"
+    return f"; the loop of {traits(controller).name} is unstable at its period of {1e3 * loop.dt:g} ms: lower its gains"
 
 
 def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant | None = None, delay: float = 0.0) -> Loop:
@@ -193,14 +193,14 @@ class Linearizer:
         if abs(delay / self.dt - ticks) > _WHOLE_TICK_TOLERANCE:
             raise InputError(f"delay: expected a whole number of control periods of {self.dt:g} s, got {delay:g} s")
         linear = self.arm_at(q)
-        if getattr(controller, "needs_deflection", False):
+        if traits(controller).needs_deflection:
             links, motors = self._sides(len(linear.A))
             linear = linear._replace(C=np.vstack([linear.C, motors - links]))
         linear, lag = _without_lag(linear, len(self._read))
         system, added = _sensed(linear, self.plant.differences_positions, self._shares)
         return Loop(
             robot=arm.name,
-            controller=controller_name(controller),
+            controller=traits(controller).name,
             plant=self._plant_in_words,
             joint_names=arm.joint_names,
             q=q,

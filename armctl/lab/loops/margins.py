@@ -9,7 +9,7 @@ from math import degrees, isfinite, nan
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control.interface import Controller, controller_name
+from armctl.control.interface import Controller, traits
 from armctl.core.defaults import MIN_DAMPING_RATIO
 from armctl.core.errors import InputError
 from armctl.core.limits import smallest_configuration
@@ -229,7 +229,7 @@ def _worst(arm: Arm, law: Controller, loops: list[Loop], found: list[LoopMargins
     return Margins(
         ok=min(ratios) >= MIN_DAMPING_RATIO,
         robot=arm.name,
-        controller=controller_name(law),
+        controller=traits(law).name,
         dt=loops[int(np.argmin(delays))].dt,
         delay=_worst_of(loops, delays),
         gain=_worst_of(loops, gains, lambda values: np.argmin(np.maximum(values, 1 / np.array(values)))),

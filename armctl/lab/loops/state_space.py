@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armctl import _core
 from armctl.control.failure import checked_torque
-from armctl.control.interface import Controller, State, controller_name, has_compiled_law
+from armctl.control.interface import Controller, State, has_compiled_law, traits
 from armctl.core.errors import InputError, ModelError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
@@ -100,14 +100,14 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
         run = _runs(arm, controller, q, dt, continuous)
     error = np.inf
     for horizon, scale in product(_HORIZONS_TICKS, _IMPULSE_SCALES):
-        sides = 2 if getattr(controller, "needs_deflection", False) else 1
+        sides = 2 if traits(controller).needs_deflection else 1
         sizes = scale * np.tile(np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], arm.n), sides)
         model = _realization(_impulse_responses(run, sizes, horizon, arm.n))
         error = _model_error(run, model, sizes, 3 * horizon)
         if error <= _MAX_MODEL_ERROR:
             return model
     raise ModelError(
-        f"{controller_name(controller):.80}: no linear model describes this controller at rest (relative error {error:.1g}); "
+        f"{traits(controller).name:.80}: no linear model describes this controller at rest (relative error {error:.1g}); "
         "its torque jumps, varies with time or is random"
     )
 
@@ -137,7 +137,7 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
             try:
                 rows[k] = checked_torque(law.torque(state, setpoint), n)
             except Exception as error:
-                name = controller_name(law)
+                name = traits(law).name
                 raise ModelError(
                     f"{name:.80}: the controller failed at q = {q.round(3).tolist()!s:.80}: {error!s:.80}"
                 ) from error
@@ -154,7 +154,7 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
         return lambda deviations: torques(law, deviations)
     if original is None:
         raise InputError(
-            f"{controller_name(controller):.80}: the controller keeps its memory when state.t starts again at 0, and cannot be "
+            f"{traits(controller).name:.80}: the controller keeps its memory when state.t starts again at 0, and cannot be "
             "copied; reset the memory if state.t is not one state.dt later than in the previous call"
         )
     return lambda deviations: torques(copy.deepcopy(original, dict(shared)), deviations)

@@ -8,7 +8,7 @@ import numpy as np
 
 from armctl.control.external_force import ExternalForce
 from armctl.control.hand_guiding import HandGuiding
-from armctl.control.interface import Controller, State, controller_name
+from armctl.control.interface import Controller, ControllerWrapper, State, traits
 from armctl.core.errors import InputError, PlanError
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, choice, instance, number
@@ -159,13 +159,11 @@ def check_reaction(reaction: ContactReaction, arm: Arm) -> None:
         raise InputError(f"reaction: it is of an arm with {', '.join(reaction.joint_names):.100}; this one has {own:.100}")
 
 
-class _MonitoredController:
+class _MonitoredController(ControllerWrapper):
     """A controller, at each tick of which a reaction looks for contacts."""
 
     def __init__(self, controller: Controller, reaction: ContactReaction, motor_torque: Callable[[], Array]):
-        self.name = controller_name(controller)
-        self.needs_wrench = getattr(controller, "needs_wrench", False)
-        self.needs_deflection = getattr(controller, "needs_deflection", False)
+        self.traits = traits(controller)
         self._controller = controller
         self._reaction = reaction
         self._motor_torque = motor_torque

@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.control import controller_by_name
 from armctl.control.failure import ControllerFailure, checked_torque
-from armctl.control.interface import WRENCH_SIZE, Controller, State, controller_name
+from armctl.control.interface import WRENCH_SIZE, Controller, ControllerWrapper, State, Traits, has_torque, traits
 from armctl.core.defaults import AT_REST_SPEED, RESTING_S, SETTLE_TIMEOUT_S
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
@@ -104,7 +104,7 @@ def read_controller(given: Controller | str, arm: Arm) -> Controller:
     """A controller from what a caller gave: a controller, or the name of one."""
     if isinstance(given, str):
         return controller_by_name(given, arm)
-    if isinstance(given, type) or not callable(getattr(given, "torque", None)):
+    if not has_torque(given):
         raise InputError(f"controller: {shown(given)} has no method torque(state, setpoint); armctl.PD(arm) has")
     return given
 
@@ -253,7 +253,7 @@ class ControlledArms:
             return
         self._logs = {}
         for tip, arm in self.arms.items():
-            name = controller_name(controller or self.controllers[tip])
+            name = traits(controller or self.controllers[tip]).name
             duration = float(durations.get(tip, 0.0))
             info = self._run_info(recorder, name, duration, targets.get(tip, NO_TARGET), error)
             self._logs[tip] = recorder.log(arm, info, self._slices[tip], self._wrenches[tip])
@@ -346,17 +346,19 @@ class ControlledArms:
         )
 
 
-class _JointController:
+class _JointController(ControllerWrapper):
     """The controllers of several arms as one; each sees only its own arm."""
-
-    name = "team"
 
     def __init__(self, controllers: Mapping[str, Controller], slices: Mapping[str, slice], wrenches: Mapping[str, slice]):
         self._controllers = controllers
         self._slices = slices
         self._wrenches = wrenches
-        self.needs_wrench = any(getattr(controller, "needs_wrench", False) for controller in controllers.values())
-        self.needs_deflection = any(getattr(controller, "needs_deflection", False) for controller in controllers.values())
+        each = [traits(controller) for controller in controllers.values()]
+        self.traits = Traits(
+            name="team",
+            needs_wrench=any(own.needs_wrench for own in each),
+            needs_deflection=any(own.needs_deflection for own in each),
+        )
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         torques = np.empty(len(state.q))

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control.interface import Controller, State, controller_name
+from armctl.control.interface import Controller, State, traits
 from armctl.core.errors import ArmctlWarning, InputError
 from armctl.core.log import Log
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
@@ -202,7 +202,7 @@ class _StepRecording:
             self._rows = rows
         self._q[rows.count] = self._stepper.q_ref if holds else np.nan
         self._rates[rows.count] = 0.0 if holds else np.nan
-        name = controller_name(controller) if holds else "external"
+        name = traits(controller).name if holds else "external"
         if name not in self.controllers:
             self.controllers.append(name)
         return rows

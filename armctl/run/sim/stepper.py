@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.control.failure import ControllerFailure, checked_torque
-from armctl.control.interface import CompiledController, Controller, State, controller_name, has_compiled_law
+from armctl.control.interface import CompiledController, Controller, State, has_compiled_law, traits
 from armctl.core import hooks
 from armctl.core.defaults import AT_REST_SPEED
 from armctl.core.errors import InputError
@@ -326,16 +326,17 @@ class Stepper:
         v_seen_rows = read_only(v_rows)
         q_seen_rows = read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
         torque = controller.torque
-        sensor = self._wrench_sensor if getattr(controller, "needs_wrench", False) else None
+        own = traits(controller)
+        sensor = self._wrench_sensor if own.needs_wrench else None
         wrench_rows = None if sensor is None else rows.with_wrench(len(sensor.true))
         wrench = None
-        needs_deflection = getattr(controller, "needs_deflection", False)
+        needs_deflection = own.needs_deflection
         deflection = None
         new = tuple.__new__  # a NamedTuple's own constructor takes twice as long
         touching = rows.contacts[-1][1] if rows.contacts else b""
         row = first
         count = rows.count
-        foresee = getattr(controller, "foresee", None)
+        foresee = own.foresee
         repairs = self._repairs
         try:
             for row, setpoint in enumerate(zip(*(column[first:last] for column in rows.reference), strict=True), first):
@@ -407,7 +408,7 @@ class Stepper:
             cause = error.__cause__
             controller = error.controller
             whose = f" of {error.tip!r:.80}" if error.tip else ""
-        name = controller_name(controller)
+        name = traits(controller).name
         self.failure = f"the controller {name:.80}{whose} failed at {self.data.time:.3f} s: {cause}"
         return SimulationError(self.failure)
 

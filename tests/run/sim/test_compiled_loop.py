@@ -16,7 +16,7 @@ from synthetic import BENT, mjcf, serial_arm
 import armctl
 from armctl import _core
 from armctl.control import CONTROLLERS, controller_by_name
-from armctl.control.interface import CompiledController, controller_name, has_compiled_law
+from armctl.control.interface import CompiledController, ControllerWrapper, has_compiled_law, traits
 from armctl.run.sim import compiled_loop
 
 PLANTS = {
@@ -45,15 +45,12 @@ SENSORS = {
 }
 
 
-class InPython:
+class InPython(ControllerWrapper):
     """A controller without a kernel that does what another controller does."""
 
     def __init__(self, controller: armctl.Controller):
         self._controller = controller
-        self.name = controller_name(controller)
-        self.needs_wrench = getattr(controller, "needs_wrench", False)
-        if isinstance(controller, armctl.MPC):
-            self.foresee = controller.foresee
+        self.traits = traits(controller)
 
     def torque(self, state, setpoint):
         return self._controller.torque(state, setpoint)
@@ -174,6 +171,16 @@ def test_a_rate_limit_runs_compiled_if_its_controller_does(bundled):
     assert same(*logs)
     change = np.abs(np.diff(logs[0].tau_cmd, axis=0)).max()
     assert change == pytest.approx(100.0 * bundled.dt)
+
+
+@pytest.mark.parametrize("plant", ["nominal", "delayed"])
+def test_a_planning_controller_behind_a_rate_limit_foresees_the_reference_in_both_loops(rubbing, plant: str):
+    logs = []
+    for wrap in (lambda controller: controller, InPython):
+        limited = armctl.TorqueRateLimit(rubbing, armctl.MPC(rubbing), 500.0)
+        logs.append(armctl.simulate(rubbing, wrap(limited), Sway(rubbing), PLANTS[plant], dwell=0.02))
+    assert same(*logs)
+    assert np.abs(np.diff(logs[0].tau_cmd, axis=0)).max() == pytest.approx(500.0 * rubbing.dt)
 
 
 SLIDER = """<body name="slider" pos="0 0 0.3"><joint name="x" type="slide" axis="1 0 0" range="-9 9"/>
