@@ -3,6 +3,7 @@ The compiled core of armctl. It computes; the Python modules that use it check a
 """
 
 import enum
+from collections.abc import Sequence
 
 import numpy
 from numpy.typing import NDArray
@@ -305,6 +306,10 @@ class EnvironmentRows:
         qpos_addresses: numpy.ndarray,
         dof_addresses: numpy.ndarray,
         ctrl_addresses: numpy.ndarray,
+        spring_qpos_addresses: numpy.ndarray | None = None,
+        spring_dof_addresses: numpy.ndarray,
+        rotor_qpos_addresses: numpy.ndarray | None = None,
+        rotor_dof_addresses: numpy.ndarray,
         limits: numpy.ndarray,
         home_tip: numpy.ndarray,
         mode: int,
@@ -1011,6 +1016,53 @@ class Delay:
         Takes the command of this tick, (n,) N m, and gives that of some ticks ago.
         """
 
+class Sensors:
+    """How the sensors of a plant measure its joints during a run."""
+
+    def __init__(
+        self,
+        *,
+        gear: numpy.ndarray,
+        qpos_addresses: numpy.ndarray,
+        dof_addresses: numpy.ndarray,
+        ctrl_addresses: numpy.ndarray,
+        motor_addresses: numpy.ndarray,
+        spring_qpos_addresses: numpy.ndarray | None = None,
+        spring_dof_addresses: numpy.ndarray,
+        rotor_qpos_addresses: numpy.ndarray | None = None,
+        rotor_dof_addresses: numpy.ndarray,
+        dt: float,
+        is_at_motors: bool,
+        is_differenced: bool,
+        max_age: int,
+        steps: numpy.ndarray | None = None,
+    ) -> None:
+        """
+        Sensors at the start of a run; armctl/cpp/sensors.hpp explains the arguments.
+        """
+
+    @property
+    def has_measured(self) -> bool:
+        """Whether this tick is measured already."""
+
+    def measure(self, model: object, data: object, noise: numpy.ndarray, ages: numpy.ndarray) -> None:
+        """
+        Measures, once in a tick, with noise (2, n) on positions and velocities; `ages`, (n,), is by how many ticks what is read is old.
+        """
+
+    def read(self, q: numpy.ndarray, v: numpy.ndarray, deflection: numpy.ndarray) -> None:
+        """
+        What was read at this tick: (n,) rad, (n,) rad/s, and (2, n) motors minus links.
+        """
+
+class CallbackLaw(Law):
+    """A law in Python, which is called at every tick."""
+
+    def __init__(self, call: object, tau: object) -> None:
+        """
+        `call()` writes the torque, (n,) N m, into the array `tau`. If it raises, the ticks end, and `TickLoop.run` raises it.
+        """
+
 class WrenchSensor:
     """The wrench of the environment on a tip, true or measured."""
 
@@ -1037,6 +1089,9 @@ class WrenchSensor:
 
     def reset(self) -> None:
         """Forgets all measurements."""
+
+    def has_measured(self, t: float) -> bool:
+        """Whether the measurement at a time, s, is made already."""
 
     def read(self, push: numpy.ndarray | None, wrench: numpy.ndarray) -> None:
         """The true wrench now, (6,), with that of the plant's pushes."""
@@ -1086,16 +1141,16 @@ class TickEnd:
         """Complete rows."""
 
     @property
+    def measured(self) -> int:
+        """Rows in which the state was measured."""
+
+    @property
+    def driven(self) -> int:
+        """Rows in which the motors got a command."""
+
+    @property
     def error(self) -> str:
         """MuJoCo's message if it could not make a step; else empty."""
-
-    @property
-    def q_seen(self) -> list[float]:
-        """The positions measured in the last row that was begun, rad."""
-
-    @property
-    def v_seen(self) -> list[float]:
-        """The velocities measured there, rad/s."""
 
     @property
     def contacts(self) -> list:
@@ -1120,6 +1175,10 @@ class TickLoop:
         dof_addresses: numpy.ndarray,
         ctrl_addresses: numpy.ndarray,
         motor_addresses: numpy.ndarray,
+        spring_qpos_addresses: numpy.ndarray | None = None,
+        spring_dof_addresses: numpy.ndarray,
+        rotor_qpos_addresses: numpy.ndarray | None = None,
+        rotor_dof_addresses: numpy.ndarray,
         substeps: int,
         dt: float,
         diverged_speed: float,
@@ -1132,8 +1191,10 @@ class TickLoop:
         self,
         law: Law,
         end: TickEnd,
+        sensors: Sensors | None,
         delay: Delay | None,
-        sensor: WrenchSensor | None,
+        joint_torque: Law | None,
+        wrench_sensors: Sequence[WrenchSensor],
         touching: bytes,
         *,
         v_rows: numpy.ndarray,
@@ -1147,17 +1208,22 @@ class TickLoop:
         qpos_rows: numpy.ndarray,
         command_rows: numpy.ndarray,
         torque_rows: numpy.ndarray,
+        tips: int,
         wrench_rows: numpy.ndarray | None = None,
         noise: numpy.ndarray | None = None,
+        ages: numpy.ndarray | None = None,
+        jitter: numpy.ndarray | None = None,
         pushes: numpy.ndarray | None = None,
         push: numpy.ndarray | None = None,
-        last_position: numpy.ndarray | None = None,
         times: numpy.ndarray | None = None,
         wrench_noise: numpy.ndarray | None = None,
+        q_seen_rows: numpy.ndarray | None = None,
+        v_seen_rows: numpy.ndarray,
+        wrench_seen_rows: numpy.ndarray | None = None,
+        deflection_seen_rows: numpy.ndarray | None = None,
     ) -> None:
         """
-        Runs the ticks [first, last) of a reference and records them; `Ticks` in armctl/cpp/tick_loop.hpp explains the arrays.
+        Runs the ticks [first, last) of a reference and records them; `Ticks` in armctl/cpp/tick_loop.hpp explains the arrays, and `tips` is the number of wrench sensors.
 
-        How they ended is written into `end`: an interrupt, which raises when the call returns, would lose a result.
-        `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
+        How they ended is written into `end`: an exception of a law in Python, or an interrupt, which raises when the call returns, would lose a result. `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
         """

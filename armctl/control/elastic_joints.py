@@ -38,7 +38,7 @@ class ElasticFeedforward(PD):
     """PD of the motors of elastic joints, with the torques of motors and springs along the motion of the links.
 
     Margins are those of `PD` with the same gains: what is added depends on the reference only. The encoders are those of the
-    motors. It runs in the Python loop.
+    motors. It runs in Python.
     """
 
     name = "elastic-feedforward"
@@ -119,7 +119,7 @@ class ElasticFeedback(ElasticFeedforward):
     """Feedforward of elastic joints, damping of the links by the springs' deflection, and an integral of the links' error.
 
     It needs `State.deflection`, as joint torque sensors give it, and encoders at the motors. With the same gains of the motors
-    its delay margin is below that of `ElasticFeedforward`, by up to a third. It runs in the Python loop.
+    its delay margin is below that of `ElasticFeedforward`, by up to a third. It runs in Python.
     """
 
     name = "elastic-feedback"

@@ -155,8 +155,8 @@ class CompiledController(ABC):
     """A controller whose law is one object of the compiled core, which `torque` and the tick loop of a simulation both call.
 
     A simulation then runs all ticks without Python, and many runs on several threads. The gains that armctl's controllers take
-    are attributes of the same names, and may be assigned between runs. A subclass that overrides `torque` runs in the Python
-    loop, like a controller without a compiled law.
+    are attributes of the same names, and may be assigned between runs. A subclass that overrides `torque` is called
+    at every tick, like a controller without a compiled law.
 
     A law of your own is a C function, for example one that `numba.cfunc` compiles: `make_law` then returns an
     `armctl.CFunctionLaw`.

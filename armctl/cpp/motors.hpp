@@ -1,12 +1,15 @@
-// What the ticks of simulations and of environments have in common: motors, measurement noise and delays.
+// What the ticks of simulations and of environments have in common: motors, measurement noise and delays of commands.
 #pragma once
 #include <cmath>
+#include <limits>
 
 #include "errors.hpp"
 #include "linear_algebra.hpp"
 #include "mujoco_api.hpp"
 
 namespace armctl {
+
+inline constexpr size_t no_address = std::numeric_limits<size_t>::max();
 
 // A driven joint of a simulation: where MuJoCo's arrays have it.
 struct Motor {
@@ -15,27 +18,58 @@ struct Motor {
     size_t ctrl = 0;
     size_t force = 0;   // in actuator_force
     double gear = 1.0;  // torque per unit of ctrl, and of force
+    // Of an elastic joint: the spring whose motion adds to that of `qpos`, or the rotor, where the motor is no part of the link.
+    size_t spring_qpos = no_address;
+    size_t spring_dof = no_address;
+    size_t rotor_qpos = no_address;
+    size_t rotor_dof = no_address;
 };
 
 using Motors = std::vector<Motor>;
 
 // Throws InputError if an address is not in the arrays of a simulation.
 inline void check_addresses(const Motors& motors, const MujocoSimulation& simulation) {
+    const auto has = [](size_t address, size_t size, bool is_optional) { return address < size || (is_optional && address == no_address); };
     for (const Motor& motor : motors) {
-        if (motor.qpos >= simulation.qpos.size() || motor.dof >= simulation.qvel.size() || motor.ctrl >= simulation.ctrl.size() ||
-            motor.force >= simulation.actuator_force.size()) {
+        const size_t nq = simulation.qpos.size();
+        const size_t nv = simulation.qvel.size();
+        if (!has(motor.qpos, nq, false) || !has(motor.dof, nv, false) || !has(motor.ctrl, simulation.ctrl.size(), false) ||
+            !has(motor.force, simulation.actuator_force.size(), false) || !has(motor.spring_qpos, nq, true) ||
+            !has(motor.spring_dof, nv, true) || !has(motor.rotor_qpos, nq, true) || !has(motor.rotor_dof, nv, true)) {
             throw InputError("motors: the model has no such joint or motor");
         }
     }
 }
 
-// Reads positions and velocities (n,) of the joints; returns the norm of the velocities.
+// Reads positions and velocities (n,) of the links; returns the norm of the velocities.
 inline double read_joints(const Motors& motors, const MujocoSimulation& simulation, Result q, Result v) {
     for (size_t i = 0; i < motors.size(); ++i) {
-        q[i] = simulation.qpos[motors[i].qpos];
-        v[i] = simulation.qvel[motors[i].dof];
+        const Motor& motor = motors[i];
+        q[i] = simulation.qpos[motor.qpos];
+        v[i] = simulation.qvel[motor.dof];
+        if (motor.spring_qpos != no_address) {
+            q[i] += simulation.qpos[motor.spring_qpos];
+            v[i] += simulation.qvel[motor.spring_dof];
+        }
     }
     return std::sqrt(dot(v, v));
+}
+
+// Reads positions and velocities (n,) of the motors at the joints.
+inline void read_rotors(const Motors& motors, const MujocoSimulation& simulation, Result q, Result v) {
+    for (size_t i = 0; i < motors.size(); ++i) {
+        const Motor& motor = motors[i];
+        q[i] = simulation.qpos[motor.rotor_qpos == no_address ? motor.qpos : motor.rotor_qpos];
+        v[i] = simulation.qvel[motor.rotor_dof == no_address ? motor.dof : motor.rotor_dof];
+    }
+}
+
+// Applies torques (n,) N m to the links until others replace them.
+inline void push_links(const Motors& motors, Vector torque, const MujocoSimulation& simulation) {
+    for (size_t i = 0; i < motors.size(); ++i) {
+        simulation.qfrc_applied[motors[i].dof] = torque[i];
+        if (motors[i].spring_dof != no_address) { simulation.qfrc_applied[motors[i].spring_dof] = torque[i]; }
+    }
 }
 
 // Sets the controls of the motors to joint torques (n,) N m.
@@ -72,21 +106,25 @@ public:
         if (ticks > most) { throw InputError("ticks: need at most " + std::to_string(most) + ", got " + std::to_string(ticks)); }
         ticks_ = ticks;
         given_ = 0;
+        age_ = 0;
     }
 
-    // Takes the command of this tick, (n,) N m. Returns that of `ticks` ago, or the first one until then; the numbers change in
-    // the next call.
-    Vector delayed(Vector tau) {
-        copy(tau, commands_.row(given_ % commands_.rows()));
-        const size_t oldest = given_ > ticks_ ? given_ - ticks_ : 0;
+    // Takes the command of this tick, (n,) N m. Returns that of `ticks` ago, or of `jitter` ticks more, or the first one until then; a
+    // command is not followed by an older one. The numbers change in the next call.
+    Vector delayed(Vector tau, size_t jitter = 0) {
+        const size_t rows = commands_.rows();
+        copy(tau, commands_.row(given_ % rows));
+        age_ = std::min({ticks_ + jitter, age_ + 1, given_, rows - 1});
+        const size_t oldest = given_ - age_;
         ++given_;
-        return commands_.row(oldest % commands_.rows());
+        return commands_.row(oldest % rows);
     }
 
 private:
     Mat commands_;  // ring buffer
     size_t ticks_ = 0;
     size_t given_ = 0;  // commands since the start
+    size_t age_ = 0;    // ticks, of the command that was returned last
 };
 
 }  // namespace armctl

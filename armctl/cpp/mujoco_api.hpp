@@ -6,6 +6,7 @@
 #include <cstring>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "errors.hpp"
 #include "spans.hpp"
@@ -132,10 +133,21 @@ inline Batch make_batch(const MujocoApi& api) {
     return batch;
 }
 
-// A batch makes one call at a time, so each thread has its own.
-inline MujocoBatch* batch_of_thread(const MujocoApi& api) {
-    thread_local const Batch batch = make_batch(api);
-    return batch.get();
+// The batches of a thread. A batch makes one call at a time, so each call within another one has its own: a law in Python may run a
+// simulation.
+struct ThreadBatches {
+    std::vector<Batch> batches;
+    size_t used = 0;
+
+    MujocoBatch* next(const MujocoApi& api) {
+        if (used == batches.size()) { batches.push_back(make_batch(api)); }
+        return batches[used].get();
+    }
+};
+
+inline ThreadBatches& batches_of_thread() {
+    thread_local ThreadBatches batches;
+    return batches;
 }
 
 // Calls an object, such as a lambda that captures by reference, so that an error of MuJoCo ends this call and not the process.
@@ -147,8 +159,11 @@ inline MujocoBatch* batch_of_thread(const MujocoApi& api) {
 template <class Work>
 [[nodiscard]] std::string guarded(const MujocoApi& api, Work& work) {
     const auto call = [](const MujocoModel*, MujocoData*, int, void* argument) { (*static_cast<Work*>(argument))(); };
-    MujocoBatch* batch = batch_of_thread(api);
+    ThreadBatches& batches = batches_of_thread();
+    MujocoBatch* batch = batches.next(api);
+    ++batches.used;
     const int failures = api.apply(batch, nullptr, 0, call, &work, 0);
+    --batches.used;
     return failures == 0 ? std::string() : std::string(api.error(batch, 0));
 }
 

@@ -4,7 +4,7 @@
 
 #include "dynamics.hpp"
 #include "law.hpp"
-#include "motors.hpp"
+#include "sensors.hpp"
 #include "wrench_sensor.hpp"
 
 namespace armctl {
@@ -21,9 +21,9 @@ struct TickEnd {
     TickStatus status = TickStatus::complete;
     size_t row = 0;          // the last one that was begun
     size_t count = 0;        // complete rows
+    size_t measured = 0;     // rows in which the state was measured
+    size_t driven = 0;       // rows in which the motors got a command
     std::string error = {};  // MuJoCo's message, if it could not make a step
-    Numbers q_seen = {};     // measured in the last row that was begun
-    Numbers v_seen = {};
     std::vector<ContactChange> contacts = {};
 };
 
@@ -42,15 +42,20 @@ struct Ticks {
     MatrixResult v_rows;         // (ticks, n) rad/s
     MatrixResult command_rows;   // (ticks, n) N m
     MatrixResult torque_rows;    // (ticks, n) N m, what the motors did
-    MatrixResult wrench_rows{};  // (ticks, 6) the true wrench, if it is measured
-    // What disturbs the signals. The first row is that of the first tick.
-    Vector noise{};          // (last - first, 2, n) on measured positions and velocities
-    Matrix pushes{};         // (last - first, 6) N and N m on the tip
-    Result push{};           // (6,) the wrench of the last tick, which the loop writes
-    Result last_position{};  // (n,) of the last tick, NaN at the first one, if measured velocities are differences of positions
-    // For the sensor.
-    Vector times{};         // (last - first,) s
-    Matrix wrench_noise{};  // (last - first, 6)
+    MatrixResult wrench_rows{};  // (ticks, 6 for each wrench sensor) the true wrenches, if they are measured
+    // What disturbs the signals. From here on, the first row is that of the first tick.
+    Vector noise{};         // (last - first, 2, n) on measured positions and velocities
+    Integers ages{};        // (last - first, n) ticks, of what is read
+    Integers jitter{};      // (last - first,) ticks by which a command is late, besides the delay
+    Matrix pushes{};        // (last - first, 6) N and N m on the tip
+    Result push{};          // (6,) the wrench of the last tick, which the loop writes
+    Vector times{};         // (last - first,) s, for wrench sensors
+    Matrix wrench_noise{};  // (last - first, 6 for each wrench sensor)
+    // What is measured, for a law that does not get it as an argument.
+    MatrixResult q_seen_rows{};           // (last - first, n)
+    MatrixResult v_seen_rows{};           // (last - first, n)
+    MatrixResult wrench_seen_rows{};      // (last - first, 6 for each wrench sensor)
+    MatrixResult deflection_seen_rows{};  // (last - first, 2 n)
 
     // How many they are; InputError if they are not in the trajectory.
     size_t count() const {
@@ -61,6 +66,14 @@ struct Ticks {
     Setpoint setpoint(size_t row) const {
         return {q.row(row), v.row(row), a.row(row), v_tick.row(row), a_tick.row(row), q.from(row), v_tick.from(row), a_tick.from(row)};
     }
+};
+
+// What is between a law and an arm; each part may be missing.
+struct Signals {
+    Sensors* sensors = nullptr;                   // else the law gets the true state
+    Delay* delay = nullptr;                       // else the motors get the command itself
+    Law* joint_torque = nullptr;                  // further torques on the links, of the true state
+    std::vector<WrenchSensor*> wrench_sensors{};  // on the tips of the arms, whose joints follow one another
 };
 
 struct TickLoopOptions {
@@ -83,61 +96,62 @@ public:
     size_t joints() const { return options_.motors.size(); }
     const MujocoSimulation& simulation() const { return simulation_; }
 
-    // Throws InputError if the ticks cannot run with a law, a delay and a sensor, each of which may be null.
-    void check(const Ticks& ticks, const Law& law, const Delay* delay, const WrenchSensor* sensor) const {
-        const auto require_joints = [this](size_t given, const char* name) {
-            if (given == joints()) { return; }
-            throw InputError(std::string(name) + ": it is one for " + std::to_string(given) + " joints, and the simulation has " +
-                             std::to_string(joints()));
-        };
+    // Throws InputError if the ticks cannot run with a law and these signals.
+    void check(const Ticks& ticks, const Law& law, const Signals& signals) const {
         require_joints(law.joints(), "law");
-        if (delay != nullptr) { require_joints(delay->joints(), "delay"); }
-        if (sensor != nullptr) { require_joints(sensor->joints(), "sensor"); }
-        if (ticks.pushes.rows > 0 && (delay == nullptr || ticks.push.empty())) {
-            throw InputError("pushes: they need a delay, and `push`, where the last one is noted");
+        if (signals.sensors != nullptr) { require_joints(signals.sensors->joints(), "sensors"); }
+        if (signals.delay != nullptr) { require_joints(signals.delay->joints(), "delay"); }
+        if (signals.joint_torque != nullptr) { require_joints(signals.joint_torque->joints(), "joint_torque"); }
+        if (ticks.pushes.rows > 0 && ticks.push.empty()) { throw InputError("pushes: they need `push`, where the last one is noted"); }
+        const std::vector<WrenchSensor*>& tips = signals.wrench_sensors;
+        size_t sensed = 0;
+        for (const WrenchSensor* sensor : tips) { sensed += sensor->joints(); }
+        if (!tips.empty()) { require_joints(sensed, "wrench_sensors"); }
+        const bool is_sensed = !tips.empty() && !ticks.times.empty() && ticks.wrench_rows.columns == 6 * tips.size();
+        if (ticks.count() > 0 && (law.needs_wrench() || !tips.empty()) && !is_sensed) {
+            throw InputError("wrench_sensors: a law that needs the wrench needs a sensor, the times of the ticks, and wrench_rows");
         }
-        const bool is_sensed = sensor != nullptr && !ticks.times.empty() && ticks.wrench_rows.rows > 0;
-        if (ticks.count() > 0 && (law.needs_wrench() || sensor != nullptr) && !is_sensed) {
-            throw InputError("sensor: a law that needs the wrench needs a sensor, the times of the ticks, and wrench_rows");
-        }
+        if (law.needs_wrench() && tips.size() > 1) { throw InputError("wrench_sensors: a law gets one wrench"); }
     }
 
-    // Runs the ticks with the law. Without a delay, the motors receive the command itself, and nothing pushes. The sensor measures
-    // the wrench for a law that needs it. `touching` are the geoms that touch in the row before.
-    [[nodiscard]] TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::string touching) {
+    // Runs the ticks with the law. `touching` are the geoms that touch in the row before.
+    [[nodiscard]] TickEnd run(const Ticks& ticks, Law& law, const Signals& signals, std::string touching) {
         const std::unique_lock lock(in_use_, std::try_to_lock);
         if (!lock.owns_lock()) { throw InputError("simulation: another thread runs it; give each thread a simulation of its own"); }
+        wrench_.resize(6 * signals.wrench_sensors.size());
         // What owns memory belongs to this call, which errors of MuJoCo do not leave.
         TickEnd end{.row = ticks.first, .count = ticks.first};
-        auto work = [&] { run_ticks(ticks, law, delay, sensor, touching, end); };
+        auto work = [&] { run_ticks(ticks, law, signals, touching, end); };
         end.error = guarded(*api_, work);
-        end.q_seen = q_seen_;
-        end.v_seen = v_seen_;
+        if (!end.error.empty() && signals.sensors != nullptr) { signals.sensors->end_tick(); }
         return end;
     }
 
 private:
-    void run_ticks(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::string& touching, TickEnd& end) {
+    void require_joints(size_t given, const char* name) const {
+        if (given == joints()) { return; }
+        throw InputError(std::string(name) + ": it is one for " + std::to_string(given) + " joints, and the simulation has " +
+                         std::to_string(joints()));
+    }
+
+    void run_ticks(const Ticks& ticks, Law& law, const Signals& signals, std::string& touching, TickEnd& end) {
         for (size_t row = ticks.first; row < ticks.last; ++row) {
             end.row = row;
             copy(simulation_.qpos, ticks.qpos_rows.row(row));
             const double speed = read_joints(options_.motors, simulation_, q_, ticks.v_rows.row(row));
-            copy(q_, q_seen_);
-            copy(ticks.v_rows.row(row), v_seen_);
-            measure_velocity(ticks.last_position);
-            add_noise(ticks.noise, row - ticks.first, q_seen_, v_seen_);
             if (!(speed < options_.diverged_speed)) {
                 end.status = TickStatus::diverged;
                 return;
             }
-            const Vector wrench = sensor == nullptr ? Vector() : measured_wrench(ticks, *sensor, row);
-            law.torque({.q = q_seen_, .v = v_seen_, .wrench = wrench}, ticks.setpoint(row), tau_);
+            const State state = measured(ticks, signals, row);
+            ++end.measured;
+            law.torque(state, ticks.setpoint(row), tau_);
             copy(tau_, ticks.command_rows.row(row));
-            if (!std::ranges::all_of(tau_, [](double torque) { return std::isfinite(torque); })) {
+            if (!is_finite(tau_) || !drive(ticks, signals, row)) {
                 end.status = TickStatus::not_finite;
                 return;
             }
-            drive(ticks, delay, row);
+            ++end.driven;
             for (size_t k = 0; k < options_.substeps; ++k) { api_->step(simulation_.model, simulation_.data); }
             if (has_repaired(api_->repairs, simulation_.data)) {
                 end.status = TickStatus::repaired;
@@ -149,41 +163,81 @@ private:
         }
     }
 
-    // Replaces the true velocity by the difference of positions over the last tick.
-    void measure_velocity(Result last_position) {
-        for (size_t i = 0; i < last_position.size(); ++i) {
-            if (!std::isnan(last_position[i])) { v_seen_[i] = (q_[i] - last_position[i]) / options_.dt; }
-            last_position[i] = q_[i];
+    static bool is_finite(Vector numbers) {
+        return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
+    }
+
+    // What the law gets at a tick.
+    State measured(const Ticks& ticks, const Signals& signals, size_t row) {
+        const size_t tick = row - ticks.first;
+        const size_t n = joints();
+        State state{.q = q_, .v = ticks.v_rows.row(row), .wrench = {}};
+        if (signals.sensors != nullptr) {
+            const Vector noise = ticks.noise.empty() ? Vector() : ticks.noise.subspan(2 * n * tick, 2 * n);
+            const Integers ages = ticks.ages.empty() ? Integers() : ticks.ages.subspan(n * tick, n);
+            signals.sensors->measure(simulation_, noise, ages);
+            state.q = signals.sensors->q();
+            state.v = signals.sensors->v();
+        }
+        if (!signals.wrench_sensors.empty()) {
+            measure_wrenches(ticks, signals, row, state);
+            state.wrench = wrench_;
+        }
+        if (ticks.q_seen_rows.rows > 0) {
+            copy(state.q, ticks.q_seen_rows.row(tick));
+            copy(state.v, ticks.v_seen_rows.row(tick));
+        }
+        if (ticks.wrench_seen_rows.rows > 0) { copy(state.wrench, ticks.wrench_seen_rows.row(tick)); }
+        if (ticks.deflection_seen_rows.rows > 0 && signals.sensors != nullptr) {
+            copy(signals.sensors->deflection(), ticks.deflection_seen_rows.row(tick));
+        }
+        return state;
+    }
+
+    // The wrenches for the law, (6,) each, and the true ones for their row.
+    void measure_wrenches(const Ticks& ticks, const Signals& signals, size_t row, const State& state) {
+        const size_t tick = row - ticks.first;
+        read_torques(options_.motors, simulation_, tau_);
+        size_t first = 0;
+        for (size_t k = 0; k < signals.wrench_sensors.size(); ++k) {
+            WrenchSensor& sensor = *signals.wrench_sensors[k];
+            const size_t n = sensor.joints();
+            const WrenchSignals at_tip{
+                .t = ticks.times[tick],
+                .q = state.q.subspan(first, n),
+                .v = state.v.subspan(first, n),
+                .tau = Vector(tau_).subspan(first, n),
+                .noise = ticks.wrench_noise.rows > 0 ? ticks.wrench_noise.row(tick).subspan(6 * k, 6) : Vector(),
+                .push = k == 0 ? Vector(ticks.push) : Vector(),
+            };
+            Wrench truth;
+            copy(sensor.measure(at_tip, truth), Result(wrench_).subspan(6 * k, 6));
+            copy(truth, ticks.wrench_rows.row(row).subspan(6 * k, 6));
+            first += n;
         }
     }
 
-    // The wrench for the law, (6,), and the true one for its row.
-    Vector measured_wrench(const Ticks& ticks, WrenchSensor& sensor, size_t row) {
+    // Sets the controls of the motors from the commanded torque, and the forces on the links. False if the plant gave none.
+    bool drive(const Ticks& ticks, const Signals& signals, size_t row) {
         const size_t tick = row - ticks.first;
-        read_torques(options_.motors, simulation_, tau_);
-        const WrenchSignals signals{
-            .t = ticks.times[tick],
-            .q = q_seen_,
-            .v = v_seen_,
-            .tau = tau_,
-            .noise = ticks.wrench_noise.rows > 0 ? ticks.wrench_noise.row(tick) : Vector(),
-            .push = ticks.push,
-        };
-        Wrench truth;
-        wrench_ = sensor.measure(signals, truth);
-        copy(truth, ticks.wrench_rows.row(row));
-        return wrench_;
-    }
-
-    // Sets the controls of the motors from the commanded torque, and the forces of pushes.
-    void drive(const Ticks& ticks, Delay* delay, size_t row) {
-        command_motors(options_.motors, delay == nullptr ? Vector(tau_) : delay->delayed(tau_), simulation_);
-        if (delay == nullptr || ticks.pushes.rows == 0) { return; }
-        const Vector push = ticks.pushes.row(row - ticks.first);
-        const Result torque = Result(tau_).first(pushed_.model().n());  // the command is recorded already
-        pushed_.tip_force(Vector(q_).first(torque.size()), push, torque);
-        for (size_t i = 0; i < torque.size(); ++i) { simulation_.qfrc_applied[options_.motors[i].dof] = torque[i]; }
-        copy(push, ticks.push);
+        if (ticks.pushes.rows > 0 || signals.joint_torque != nullptr) {
+            std::ranges::fill(pushing_, 0.0);
+            if (ticks.pushes.rows > 0) {
+                const size_t n = pushed_.model().n();
+                copy(ticks.pushes.row(tick), ticks.push);
+                pushed_.tip_force(Vector(q_).first(n), ticks.push, Result(pushing_).first(n));
+            }
+            if (signals.joint_torque != nullptr) {
+                signals.joint_torque->torque({.q = q_, .v = ticks.v_rows.row(row), .wrench = {}}, ticks.setpoint(row), joint_torque_);
+                if (!is_finite(joint_torque_)) { return false; }
+                for (size_t i = 0; i < pushing_.size(); ++i) { pushing_[i] += joint_torque_[i]; }
+            }
+            push_links(options_.motors, pushing_, simulation_);
+        }
+        const size_t jitter = ticks.jitter.empty() ? 0 : static_cast<size_t>(ticks.jitter[tick]);
+        command_motors(options_.motors, signals.delay == nullptr ? Vector(tau_) : signals.delay->delayed(tau_, jitter), simulation_);
+        if (signals.sensors != nullptr) { signals.sensors->end_tick(); }
+        return true;
     }
 
     // Notes the geoms that touch, if they changed.
@@ -207,8 +261,8 @@ private:
     TickLoopOptions options_;
     Dynamics pushed_;
     std::mutex in_use_;
-    Numbers q_ = zeros(), q_seen_ = zeros(), v_seen_ = zeros(), tau_ = zeros();
-    Wrench wrench_{};
+    Numbers q_ = zeros(), tau_ = zeros(), pushing_ = zeros(), joint_torque_ = zeros();
+    Numbers wrench_;  // (6,) for each wrench sensor
 };
 
 }  // namespace armctl

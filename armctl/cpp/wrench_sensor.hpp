@@ -120,6 +120,9 @@ public:
         if (estimate_) { estimate_->reset(); }
     }
 
+    // Whether the measurement at a time, s, is made already.
+    bool has_measured(double t) const { return !samples_.empty() && samples_.back().t == t; }
+
     // The true wrench: of contacts, connections, applied forces and pushes.
     Wrench read(Vector push) const {
         Wrench wrench{};
@@ -135,7 +138,7 @@ public:
     Wrench measure(const WrenchSignals& signals, Wrench& truth) {
         truth = read(signals.push);
         if (!options_.is_sampled) { return truth; }
-        if (samples_.empty() || samples_.back().t != signals.t) {
+        if (!has_measured(signals.t)) {
             Wrench wrench = estimate_ ? estimate_->update(signals) : truth;
             add(signals.noise, wrench);
             samples_.push_back({signals.t, wrench});

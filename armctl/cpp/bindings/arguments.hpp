@@ -165,7 +165,8 @@ void bind_constructor(Class& bound, const char* begin, const Reader& read, const
 inline size_t address(std::int64_t number) { return static_cast<size_t>(number); }
 
 // The motors of an arm, (n,) each: `qpos_addresses`, `dof_addresses`, `ctrl_addresses` and `gear`; and
-// `motor_addresses` if their torques are read.
+// `motor_addresses` if their torques are read. Elastic joints have `spring_qpos_addresses` and `spring_dof_addresses`, or
+// `rotor_qpos_addresses` and `rotor_dof_addresses`, -1 for none.
 template <class Given>
 Motors motors_of(Given& given, bool are_read) {
     const size_t n = given.length("gear");
@@ -183,6 +184,22 @@ Motors motors_of(Given& given, bool are_read) {
             .force = are_read ? address(force[i]) : 0,
             .gear = gear[i],
         });
+    }
+    if (given.has("spring_qpos_addresses")) {
+        const Integers spring_qpos = given.integers(n, "spring_qpos_addresses");
+        const Integers spring_dof = given.integers(n, "spring_dof_addresses");
+        for (size_t i = 0; i < motors.size(); ++i) {
+            motors[i].spring_qpos = address(spring_qpos[i]);
+            motors[i].spring_dof = address(spring_dof[i]);
+        }
+    }
+    if (given.has("rotor_qpos_addresses")) {
+        const Integers rotor_qpos = given.integers(n, "rotor_qpos_addresses");
+        const Integers rotor_dof = given.integers(n, "rotor_dof_addresses");
+        for (size_t i = 0; i < motors.size(); ++i) {
+            motors[i].rotor_qpos = address(rotor_qpos[i]);
+            motors[i].rotor_dof = address(rotor_dof[i]);
+        }
     }
     return motors;
 }

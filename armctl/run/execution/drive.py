@@ -19,14 +19,35 @@ from armctl.run.execution.recorder import Recorder
 class Drive(Protocol):
     """What the commands of an arm need of a plant or a robot; `Stepper` is the one of a simulation."""
 
-    actuation: Actuation
-    model: mujoco.MjModel
-    data: mujoco.MjData  # the scene now; for a robot, a mirror of what it measures
-    dt: float
-    failure: str  # why the last run ended early, in words; empty if it did not
     source: LogSource  # of its logs
     torques: LogTorques  # of its logs
     late: int  # ticks by which references for a robot came too late until now; it came to rest instead
+
+    @property
+    def actuation(self) -> Actuation:
+        """The driven joints of all arms."""
+        ...
+
+    @property
+    def model(self) -> mujoco.MjModel: ...
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The scene now; for a robot, a mirror of what it measures."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """The tick, s."""
+        ...
+
+    @property
+    def failure(self) -> str:
+        """Why the last run ended early, in words; empty if it did not."""
+        ...
+
+    @failure.setter
+    def failure(self, failure: str, /) -> None: ...
 
     @property
     def q_ref(self) -> Array:

@@ -1,157 +1,150 @@
-"""Disturbances: how a plant disturbs signals during a run: measurement noise, command delay, pushes."""
+"""Disturbances: how a plant disturbs signals during a run, planned ahead: measurement noise, ages, delays, pushes."""
 
-from collections import deque
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.core.validation import Array, vector
-from armctl.run.sim.drivetrain import Drivetrain
+from armctl.core.validation import Array, IntArray, vector
 from armctl.run.sim.plant import Plant, Push
+from armctl.run.sim.plant_model import PlantModel
 
 
-class Signals(NamedTuple):
-    """The disturbances of the coming ticks, for the compiled loop; None for none."""
+class Planned(NamedTuple):
+    """The disturbances of the coming ticks, as the tick loop takes them; None for none."""
 
     noise: Array | None  # (ticks, 2, n) on measured positions, rad, and velocities, rad/s
-    wrenches: Array | None  # (ticks, 6) N and N m, of the pushes on the tip
+    ages: IntArray | None  # (ticks, n) ticks by which what is read is old
+    jitter: IntArray | None  # (ticks,) ticks by which commands are late, besides the delay
+    pushes: Array | None  # (ticks, 6) N and N m, on the tip
+
+
+class _Before(NamedTuple):
+    """The random numbers before the coming ticks were planned."""
+
+    noise_state: Any
+    last_noise: Array
+    jitter_state: Any
+    drawn: int  # rows of noise
 
 
 class Disturbances:
-    """Noise, delay and pushes of one run; every run of the same plant has the same ones."""
+    """Noise, delays and pushes of one run; every run of the same plant has the same ones.
 
-    def __init__(
-        self, plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, train: Drivetrain, pushed_arm: _core.ArmModel, dt: float
-    ):
-        """The disturbances of a run that starts now. Pushes act on the tip of `pushed_arm`, whose joints are the first ones."""
-        n = train.actuation.n
-        self._plant = plant
-        self._model = model
-        self._data = data
-        self._train = train
-        self._pushed = pushed_arm.n
-        self._step = encoder_steps(plant, train.actuation.units) if plant.encoder_bits else None
-        longest = int(np.ceil((train.sensors.delay + train.sensors.interval).max() / dt))
-        self._late: deque[Array] = deque(maxlen=plant.sensor_delay + longest + 2)
-        self._jitter = np.random.default_rng([plant.seed, 1])
-        self._commands: deque[Array] = deque(maxlen=plant.delay + plant.jitter + 1)
-        self._age = 0
-        self._pushed_arm = pushed_arm
+    What it has at the coming ticks is planned here; the compiled core has what sensors and delays know of earlier ones.
+    """
+
+    def __init__(self, built: PlantModel):
+        """The disturbances of a run that starts now."""
+        plant = built.plant
+        n = built.actuation.n
+        timing = built.train.sensors
+        self._built = built
+        self._is_noisy = bool(plant.encoder_noise or plant.velocity_noise)
+        self._is_late = bool(plant.sensor_delay or timing.is_late)
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
-        self._dt = dt
-        self._steps = round(dt / model.opt.timestep)
-        self._timestep = float(model.opt.timestep)
-        self.push = np.zeros(6)  # N and N m, the wrench of the pushes in the last tick; both loops write it
-        # (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
-        # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
-        self.last_position = np.full(n, np.nan) if plant.differences_positions else None
-        self.deflection = np.zeros((2, n))  # of the springs, as measured at this tick
-        self.delay = _core.Delay(n, plant.delay)  # of the commands; both loops use it
-        self.delay.restart(plant.delay)
         self._rng = np.random.default_rng(plant.seed)
         self._last_noise = np.zeros(n)
-        self._planned: Signals | None = None
-        self._noise_before: tuple[Any, Array] | None = None
+        self._jitter = np.random.default_rng([plant.seed, 1])
+        self._before: _Before | None = None
+        self.push = np.zeros(6)  # N and N m, the wrench of the pushes in the last tick, which the loop writes
+        self.delay = _core.Delay(n, plant.delay + plant.jitter)
+        self.delay.restart(plant.delay)
+        # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
+        self.sensors = _core.Sensors(
+            **built.train.addresses,
+            dt=built.dt,
+            steps=encoder_steps(plant, built.actuation.units) if plant.encoder_bits else None,
+            is_at_motors=plant.encoder_side == "motor",
+            is_differenced=plant.differences_positions,
+            max_age=plant.sensor_delay + int(np.ceil((timing.delay + timing.interval).max() / built.dt)) + 1,
+        )
 
-    def measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """What the sensors give at this tick for positions q, rad, and velocities v, rad/s. Call it once in a tick.
+    def measure(self) -> tuple[Array, Array, Array]:
+        """What the sensors give at this tick, the same until the next: positions and velocities (n,), deflections (2, n)."""
+        built = self._built
+        n = built.actuation.n
+        if not self.sensors.has_measured:
+            noise = self._noise(1)[0] if self._is_noisy else np.zeros((2, n))
+            self.sensors.measure(built.model, built.data, noise, self._ages(np.array([built.data.time]))[0])
+        q = np.empty(n)
+        v = np.empty(n)
+        deflection = np.empty((2, n))
+        self.sensors.read(q, v, deflection)
+        return q, v, deflection
 
-        Without a velocity sensor, the velocity is the difference of two measured positions. The one at the first tick is true.
-        """
-        train = self._train
-        data = self._data
-        if train.extra_joints and self._plant.encoder_side == "link":
-            q = train.link_positions(data.qpos)
-            v = train.link_speeds(data.qvel)
-        elif train.extra_joints:
-            q = data.qpos[train.motor_qpos]
-            v = data.qvel[train.motor_dof]
-        noise = self._noise(1)[0]
-        measured_q = q + noise[0]
-        if self._step is not None:
-            measured_q = self._step * np.round(measured_q / self._step)
-        measured_v = v + noise[1]
-        if self.last_position is not None:
-            # The noise of a velocity is that of the difference already; steps of the encoder are not.
-            seen = q if self._step is None else measured_q
-            difference = (seen - self.last_position) / self._dt + (noise[1] if self._step is None else 0.0)
-            measured_v = np.where(np.isnan(difference), measured_v, difference)
-            self.last_position[:] = seen
-        deflection = train.deflection(data) if train.extra_joints else self.deflection
-        self._late.append(np.array([measured_q, measured_v, *deflection]))
-        if self._plant.sensor_delay or train.sensors.is_late:
-            tick = np.array([round(data.time / self._dt)])
-            age = self._plant.sensor_delay + train.sensors.ages(tick, self._dt)[0]
-            read = np.maximum(len(self._late) - 1 - age, 0)
-            joint = np.arange(len(q))
-            measured_q, measured_v, *deflection = np.array(self._late)[read, :, joint].T
-        self.deflection = np.asarray(deflection)
-        return measured_q, measured_v
+    def joint_torque(self) -> _core.CallbackLaw | None:
+        """The plant's torques on the links as a law, for one call of the loop: none of the two may keep the other."""
+        built = self._built
+        torque = built.plant.joint_torque
+        if torque is None:
+            return None
+        n = built.actuation.n
+        tau = np.empty(n)
 
-    def driven(self, tau: Array, q: Array, v: Array) -> Array:
-        """Applies the pushes and the plant's joint torque of this moment, and returns what the motors receive for a command.
+        def call() -> None:
+            tau[:] = vector("joint_torque", torque(built.q, built.v, float(built.data.time)), n)
 
-        That is the command `delay` ticks ago, at random up to `jitter` ticks older, or the first command until then.
-        """
-        if self._pushes or self._plant.joint_torque is not None:
-            torque = np.zeros(len(q))
-            if self._pushes:
-                self.push[:] = self._wrenches(np.array([self._data.time]))[0]
-                _core.tip_forces(
-                    self._pushed_arm, q[None, : self._pushed].copy(), self.push[None], torque[None, : self._pushed]
-                )
-            if self._plant.joint_torque is not None:
-                torque += vector("joint_torque", self._plant.joint_torque(q, v, float(self._data.time)), len(q))
-            self._train.push(self._data, torque)
-        if self._plant.jitter:
-            self._commands.append(tau.copy())
-            age = self._plant.delay + int(self._jitter.integers(0, self._plant.jitter + 1))
-            self._age = min(age, self._age + 1, len(self._commands) - 1)  # a command is not followed by an older one
-            return self._commands[-1 - self._age]
-        oldest = np.empty_like(tau)
-        self.delay.delayed(tau, oldest)
-        return oldest
+        return _core.CallbackLaw(call, tau)
 
-    def planned(self, ticks: int) -> Signals:
+    def plan(self, ticks: int) -> Planned:
         """The disturbances of the coming ticks; call `took` afterwards."""
+        jitter = self._built.plant.jitter
+        drawn = ticks - self.sensors.has_measured if self._is_noisy else 0
+        self._before = _Before(
+            noise_state=self._rng.bit_generator.state if self._is_noisy else None,
+            last_noise=self._last_noise,
+            jitter_state=self._jitter.bit_generator.state if jitter else None,
+            drawn=drawn,
+        )
         noise = None
-        self._noise_before = None
-        if self._plant.encoder_noise or self._plant.velocity_noise:
-            self._noise_before = self._rng.bit_generator.state, self._last_noise
-            noise = self._noise(ticks)
-        wrenches = None
-        if self._pushes:
-            wrenches = self._wrenches(tick_times(self._data.time, ticks, self._steps, self._timestep))
-        self._planned = Signals(noise, wrenches)
-        return self._planned
+        if self._is_noisy:
+            noise = self._noise(drawn)
+            if drawn < ticks:  # the first tick is measured
+                noise = np.concatenate([np.zeros((1, *noise.shape[1:])), noise])
+        times = self._built.tick_times(ticks) if self._is_late or self._pushes else np.zeros(0)
+        return Planned(
+            noise=noise,
+            ages=self._ages(times) if self._is_late else None,
+            jitter=self._jitter.integers(0, jitter + 1, size=ticks) if jitter else None,
+            pushes=self._wrenches(times) if self._pushes else None,
+        )
 
-    def took(self, measured: int) -> None:
-        """Notes at how many of the planned ticks the state was measured."""
-        planned = self._planned
-        assert planned is not None
-        if planned.noise is not None and self._noise_before is not None and measured < len(planned.noise):
-            state, self._last_noise = self._noise_before
-            self._rng.bit_generator.state = state  # type: ignore[attr-defined]
-            self._noise(measured)
-        self._planned = None
+    def took(self, planned: Planned, measured: int, driven: int) -> None:
+        """Notes at how many of the planned ticks the state was measured, and the motors were driven."""
+        before = self._before
+        assert before is not None
+        if planned.noise is not None:
+            drawn = max(0, measured - (len(planned.noise) - before.drawn))
+            if drawn < before.drawn:
+                self._rng.bit_generator.state = before.noise_state
+                self._last_noise = before.last_noise
+                self._noise(drawn)
+        if planned.jitter is not None and driven < len(planned.jitter):
+            self._jitter.bit_generator.state = before.jitter_state
+            self._jitter.integers(0, self._built.plant.jitter + 1, size=driven)
 
     def _noise(self, ticks: int) -> Array:
         """(ticks, 2, n) the noise of the coming ticks on positions and velocities."""
-        plant = self._plant
+        plant = self._built.plant
         n = len(self._last_noise)
         normal = self._rng.standard_normal((ticks, 2, n))
         noise = np.empty((ticks, 2, n))
         noise[:, 0] = plant.encoder_noise * normal[:, 0]
         if plant.velocity_noise is None:
-            noise[:, 1] = np.diff(noise[:, 0], axis=0, prepend=self._last_noise[None]) / self._dt
+            noise[:, 1] = np.diff(noise[:, 0], axis=0, prepend=self._last_noise[None]) / self._built.dt
         else:
             noise[:, 1] = plant.velocity_noise * normal[:, 1]
         if ticks:
             self._last_noise = noise[-1, 0].copy()
         return noise
+
+    def _ages(self, times: Array) -> IntArray:
+        """(T, n) by how many ticks is old what is read at times, s."""
+        built = self._built
+        ticks = np.round(times / built.dt).astype(np.int64)
+        return np.ascontiguousarray(built.plant.sensor_delay + built.train.sensors.ages(ticks, built.dt))
 
     def _wrenches(self, times: Array) -> Array:
         """(T, 6) the wrench of the pushes at times, s."""
@@ -161,14 +154,15 @@ class Disturbances:
         return wrenches
 
 
+def disturbances_of(built: PlantModel) -> Disturbances | None:
+    """The disturbances of a run that starts now; None if the plant has none."""
+    plant = built.plant
+    is_disturbed = plant.has_signal_disturbances or plant.jitter or plant.sensor_delay or plant.encoder_bits
+    is_late = built.train.sensors.is_late or built.train.extra_joints
+    return Disturbances(built) if is_disturbed or plant.joint_torque is not None or is_late else None
+
+
 def encoder_steps(plant: Plant, units: Sequence[str]) -> Array:
     """(n,) rad (m), the steps of a plant's encoders; 0 for exact positions."""
     turn = np.where(np.asarray(units) == "m", 1.0, 2 * np.pi)
     return turn * (0.5**plant.encoder_bits if plant.encoder_bits else 0.0)
-
-
-def tick_times(start: float, ticks: int, steps: int, timestep: float) -> Array:
-    """(ticks,) s, contiguous: the times of the coming ticks, to the bit. MuJoCo adds its time step at every step."""
-    times = np.full(ticks * steps, timestep)
-    times[0] = start
-    return np.add.accumulate(times)[::steps].copy()

@@ -9,7 +9,7 @@ friction that of a `dcmotor` without an input.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
 import mujoco
@@ -92,10 +92,25 @@ class Drivetrain:
         motors = np.array([data.qpos[self.motor_qpos], data.qvel[self.motor_dof]])
         return motors - [self.link_positions(data.qpos), self.link_speeds(data.qvel)]
 
-    def push(self, data: mujoco.MjData, torque: Array) -> None:
-        """Applies torques, (n,) N m, to the links until others replace them."""
-        data.qfrc_applied[self.actuation.dof_adr] = torque
-        data.qfrc_applied[self.spring_dof] = torque[self.owners] if self.springs else 0.0
+    @property
+    def addresses(self) -> dict[str, Any]:
+        """The joints and motors as the compiled core takes them, (n,) each; -1 for none."""
+        actuation = self.actuation
+        found = {
+            "qpos_addresses": actuation.qpos_adr,
+            "dof_addresses": actuation.dof_adr,
+            "ctrl_addresses": actuation.ctrl_adr,
+            "motor_addresses": actuation.motor_adr,
+            "gear": actuation.gear,
+        }
+        if self.springs:
+            spring_qpos, spring_dof = np.full((2, actuation.n), -1, np.int64)
+            spring_qpos[self.owners] = self.spring_qpos
+            spring_dof[self.owners] = self.spring_dof
+            found |= {"spring_qpos_addresses": spring_qpos, "spring_dof_addresses": spring_dof}
+        if self.rotors:
+            found |= {"rotor_qpos_addresses": self.motor_qpos, "rotor_dof_addresses": self.motor_dof}
+        return {name: np.ascontiguousarray(each, np.float64 if name == "gear" else np.int64) for name, each in found.items()}
 
     def settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
         """Puts motors, windings and delayed commands where held links leave them, in place; the holding torque, (n,) N m."""

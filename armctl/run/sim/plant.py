@@ -19,7 +19,7 @@ from armctl.model.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.model.mjmodel.edit import add_payload
 from armctl.model.mjmodel.queries import actuator_name, is_on_joint
 from armctl.model.mjmodel.spring_joints import spring_joints
-from armctl.run.sim.drivetrain import Drivetrain, apply_drivetrain, drivetrain_of, finish_drivetrain, new_model, per_joint
+from armctl.run.sim.drivetrain import apply_drivetrain, drivetrain_of, finish_drivetrain, new_model, per_joint
 from armctl.run.sim.plant_attribute import Kind, attributes_of, number_text, plant_attribute
 
 # Runge-Kutta is stable up to steps of 2.8 time constants of the fastest damped joint; one time constant keeps it accurate.
@@ -289,22 +289,29 @@ class Brake:
     def __init__(self, model: mujoco.MjModel, dofs: IntArray):
         self._model = model
         self._dofs = dofs
+        self._released = np.zeros(0, dtype=np.int64)
         self._unbraked = {name: getattr(model, name).copy() for name in _BRAKED_ARRAYS}
         self._tolerance = float(model.opt.tolerance)
         brake(model, dofs)
 
-    def release_only(self, dofs: IntArray) -> None:
-        """Releases these joints and brakes all others."""
+    def release(self, dofs: IntArray) -> bool:
+        """Releases these joints besides those that are released; whether any of them was braked."""
+        if np.isin(dofs, self._released).all():
+            return False
+        self._release_only(np.union1d(self._released, dofs))
+        return True
+
+    def engage(self) -> None:
+        """Brakes all joints again."""
+        if len(self._released):
+            self._release_only(self._released[:0])
+
+    def _release_only(self, dofs: IntArray) -> None:
         for name, values in self._unbraked.items():
             getattr(self._model, name)[:] = values
         self._model.opt.tolerance = self._tolerance
+        self._released = dofs
         brake(self._model, np.setdiff1d(self._dofs, dofs))
-
-
-def steps_in_python(plant: Plant, train: Drivetrain) -> bool:
-    """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
-    late_or_coarse = plant.jitter or plant.sensor_delay or plant.encoder_bits or plant.joint_torque is not None
-    return bool(late_or_coarse or train.sensors.is_late or train.extra_joints)
 
 
 def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm]) -> None:

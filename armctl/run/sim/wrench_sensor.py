@@ -1,7 +1,6 @@
 """WrenchSensor: the wrench of the environment on the tips, true or as a plant's sensors measure it."""
 
 from collections.abc import Sequence
-from math import nan
 from typing import Any, NamedTuple
 
 import mujoco
@@ -13,7 +12,7 @@ from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.mjmodel.queries import is_below
 from armctl.run.sim.mujoco_library import mujoco_api
-from armctl.run.sim.plant import Plant
+from armctl.run.sim.plant_model import PlantModel
 
 _MIN_JOINTS_FOR_MOMENTS = 6  # the torques of fewer joints do not separate moments from forces
 _CARTESIAN_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_FLEX))
@@ -36,13 +35,13 @@ class WrenchSensor:
     is that of the previous step.
     """
 
-    def __init__(
-        self, arms: Sequence[Arm], plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, dt: float, continuous: bool
-    ):
+    def __init__(self, arms: Sequence[Arm], built: PlantModel):
+        plant = built.plant
+        model = built.model
         self._plant = plant
         self._model = model
-        self._data = data
-        self._period = (dt, continuous)
+        self._data = built.data
+        self._period = (built.dt, built.continuous)
         self._sites = [
             _Site(int(arm.model.dof_bodyid[arm.dof_adr[-1]]), arm.tip_body, arm.T_body_tip.position, arm.core_model)
             for arm in arms
@@ -53,6 +52,8 @@ class WrenchSensor:
         self._has_noise = bool(plant.force_noise or plant.moment_noise)
         self._is_sampled = self._has_noise or bool(plant.wrench_delay) or plant.wrench_source == "torques"
         self._tips: list[_core.WrenchSensor] = []
+        self._rng: np.random.Generator | None = None  # of a sensor with noise
+        self._before: tuple[Any, int] | None = None
         self.true = np.zeros(WRENCH_SIZE * len(arms))  # the true wrenches at the last call of `read` or `measure`
         self.reset()
 
@@ -64,13 +65,12 @@ class WrenchSensor:
         """Forgets all measurements and restarts the noise."""
         if self._has_noise:
             self._rng = np.random.default_rng([self._plant.seed, WRENCH_SIZE])
-        self._sampled_at = nan
         for tip in self._tips:
             tip.reset()
 
     def has_measured(self, t: float) -> bool:
         """Whether the measurement at time t, s, is made already."""
-        return self._sampled_at == t
+        return bool(self._tips) and self._tips[0].has_measured(t)
 
     def read(self, push: Array | None) -> Array:
         """The true wrenches now; `push` (6,) is the wrench of the plant's pushes on the first tip, if there are any."""
@@ -90,7 +90,6 @@ class WrenchSensor:
         noise = np.zeros_like(self.true)
         if self._has_noise and not self.has_measured(state.t):
             noise = self._noise(1)[0]
-        self._sampled_at = state.t
         self.true = np.empty_like(self.true)
         measured = np.empty_like(self.true)
         first = 0
@@ -110,30 +109,34 @@ class WrenchSensor:
             first = last
         return measured
 
-    def plan(self, times: Array) -> tuple[_core.WrenchSensor, Array | None]:
-        """The sensor of a single arm for coming ticks of the compiled loop, and its noise (ticks, 6) N and N m, or None.
+    def plan(self, times: Array) -> tuple[list[_core.WrenchSensor], Array | None]:
+        """The sensor of each arm for coming ticks of the loop, and their noise (ticks, 6 k) N and N m, or None.
 
         Call `took` afterwards.
         """
-        (sensor,) = self._sensors()
-        noise = None
-        if self._has_noise:
-            self._noise_before: Any = self._rng.bit_generator.state
-            noise = self._noise(len(times))
-        self._times = times
-        return sensor, noise
+        sensors = self._sensors()
+        if self._rng is None:
+            return sensors, None
+        drawn = len(times) - self.has_measured(times[0])
+        self._before = (self._rng.bit_generator.state, drawn)
+        noise = self._noise(drawn)
+        if drawn < len(times):  # the first tick is measured
+            noise = np.concatenate([np.zeros((1, noise.shape[1])), noise])
+        return sensors, noise
 
-    def took(self, measured: int) -> None:
+    def took(self, noise: Array | None, measured: int) -> None:
         """Notes at how many of the planned ticks the wrench was measured."""
-        if not measured or not self._is_sampled:
+        if noise is None or self._before is None or self._rng is None:
             return
-        self._sampled_at = float(self._times[measured - 1])
-        if self._has_noise and measured < len(self._times):
-            self._rng.bit_generator.state = self._noise_before
-            self._noise(measured)
+        state, drawn = self._before
+        used = max(0, measured - (len(noise) - drawn))
+        if used < drawn:
+            self._rng.bit_generator.state = state
+            self._noise(used)
 
     def _noise(self, ticks: int) -> Array:
         """(ticks, 6 k) the noise of the coming ticks."""
+        assert self._rng is not None
         return self._noise_scale * self._rng.standard_normal((ticks, len(self._noise_scale)))
 
     def _sensors(self) -> list[_core.WrenchSensor]:

@@ -1,6 +1,6 @@
 """The tick loop of the compiled core keeps what it works on, refuses wrong arguments, and gives commands with a delay.
 
-That its ticks are those of the Python loop is what test_compiled_loop shows.
+That a controller in Python gets the same ticks is what test_tick_loop shows.
 """
 
 import gc
@@ -18,6 +18,7 @@ import armctl
 from armctl import _core
 from armctl.core.trajectory import TickReference
 from armctl.run.execution.recorder import TickRows
+from armctl.run.sim.drivetrain import drivetrain_of
 from armctl.run.sim.mujoco_library import mujoco_api
 from armctl.run.sim.stepper import Stepper
 
@@ -30,15 +31,9 @@ def stepper(bundled: armctl.Arm) -> Stepper:
 
 
 def tick_loop(stepper: Stepper, api: _core.MujocoApi | None = None, **changes: object) -> _core.TickLoop:
-    addresses = {
-        "qpos_addresses": stepper.actuation.qpos_adr,
-        "dof_addresses": stepper.actuation.dof_adr,
-        "ctrl_addresses": stepper.actuation.ctrl_adr,
-        "motor_addresses": stepper.actuation.motor_adr,
-    }
-    options = {name: np.asarray(each, np.int64) for name, each in addresses.items()} | {
-        "gear": np.ones(stepper.n),
-        "pushed_arm": stepper._pushed_arm,
+    arm = armctl.load("robot_arm_3dof")
+    options: dict[str, object] = drivetrain_of([arm], armctl.Plant()).addresses | {
+        "pushed_arm": arm.core_model,
         "substeps": 1,
         "dt": 0.002,
         "diverged_speed": 1e3,
@@ -48,7 +43,7 @@ def tick_loop(stepper: Stepper, api: _core.MujocoApi | None = None, **changes: o
 
 def wrench_sensor(stepper: Stepper, **changes: object) -> _core.WrenchSensor:
     options = {
-        "arm": stepper._pushed_arm,
+        "arm": armctl.load("robot_arm_3dof").core_model,
         "bodies": np.array([1]),
         "root": 1,
         "tip": 1,
@@ -75,15 +70,15 @@ def run(loop: _core.TickLoop, arm: armctl.Arm, ticks: int = 10, **changes: objec
         "first": 0,
         "last": ticks,
     }
-    delay, sensor = changes.pop("delay", None), changes.pop("sensor", None)
+    parts = {name: changes.pop(name, None) for name in ("sensors", "delay", "joint_torque")}
+    tips = changes.pop("wrench_sensors", [])
     end = _core.TickEnd(0)
-    loop.run(law, end, delay, sensor, b"", **(options | changes))
+    loop.run(law, end, **parts, wrench_sensors=tips, touching=b"", tips=len(tips), **(options | changes))
     return end
 
 
 @pytest.mark.parametrize("make", [tick_loop, wrench_sensor])
 def test_the_core_keeps_the_simulation_alive_that_it_works_on(stepper: Stepper, make: Callable[..., object]):
-    del stepper._compiled
     before = sys.getrefcount(stepper.data), sys.getrefcount(stepper.model)
     made = make(stepper)
     assert sys.getrefcount(stepper.data) > before[0]
@@ -134,17 +129,19 @@ def test_a_second_thread_on_a_loop_gets_one_sentence(bundled: armctl.Arm, steppe
         ({"last": 11}, "first, last: they are not rows of the reference"),
         ({"q": np.zeros((10, 2))}, r"q: need an array of shape \(10, 3\), got \(10, 2\)"),
         ({"delay": _core.Delay(1, 1)}, "delay: it is one for 1 joints, and the simulation has 3"),
-        ({"pushes": np.zeros((10, 6))}, "pushes: they need a delay"),
+        ({"pushes": np.zeros((10, 6))}, "pushes: they need `push`"),
+        ({"jitter": np.zeros(9, np.int64)}, r"jitter: need an array of shape \(10,\)"),
+        ({"ages": np.zeros((10, 2), np.int64)}, r"ages: need an array of shape \(10, 3\)"),
         ({"noise": np.zeros((9, 2, 3))}, r"noise: need an array of shape \(10, 2, 3\)"),
-        ({"times": np.zeros(10), "sensor": "any"}, "sensor: a law that needs the wrench needs a sensor"),
+        ({"times": np.zeros(10), "wrench_sensors": "one"}, "wrench_sensors: a law that needs the wrench needs a sensor"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
 def test_wrong_arguments_of_ticks_are_refused_in_one_sentence(
     bundled: armctl.Arm, stepper: Stepper, changes: dict[str, object], message: str
 ):
-    if "sensor" in changes:
-        changes = changes | {"sensor": wrench_sensor(stepper)}
+    if "wrench_sensors" in changes:
+        changes = changes | {"wrench_sensors": [wrench_sensor(stepper)]}
     with pytest.raises(armctl.InputError, match=message):
         run(tick_loop(stepper), bundled, **changes)
     assert stepper.data.time == 0.0

@@ -1,4 +1,4 @@
-"""The compiled loop and the Python loop are the same simulation: every controller on every plant, bit for bit."""
+"""A controller in Python and its compiled law make the same simulation: every controller on every plant, bit for bit."""
 
 import ctypes
 import itertools
@@ -17,7 +17,7 @@ import armctl
 from armctl import _core
 from armctl.control import CONTROLLERS, controller_by_name
 from armctl.control.interface import CompiledController, ControllerWrapper, has_compiled_law, traits
-from armctl.run.sim import compiled_loop
+from armctl.run.sim import tick_loop
 
 PLANTS = {
     "nominal": armctl.Plant(),
@@ -29,6 +29,19 @@ PLANTS = {
         pushes=[armctl.Push(0.05, 0.1, force=[5, 0, 3]), armctl.Push(0.1, 0.1, force=[0, 2, 0], torque=[0.1, 0, 0])]
     ),
     "continuous, slow ticks": armctl.Plant(continuous=True, timestep=0.004, encoder_noise=1e-5),
+    "late, coarse sensors": armctl.Plant(sensor_delay=2, encoder_bits=14, encoder_noise=1e-4, seed=5),
+    "differenced": armctl.Plant(encoder_bits=16, velocity="differenced", sensor_delay=1, continuous=True),
+    "jitter": armctl.Plant(delay=1, jitter=3, seed=2),
+    "elastic": armctl.Plant(elasticity=3000.0, rotor_inertia=0.05, sensor_delay=1, continuous=True),
+    "elastic, measured at the links": armctl.Plant(
+        elasticity=3000.0,
+        rotor_inertia=0.05,
+        encoder_side="link",
+        jitter=1,
+        pushes=armctl.Push(0.02, 0.05, force=[5, 0, 3]),
+        continuous=True,
+    ),
+    "with a torque of its own": armctl.Plant(joint_torque=lambda q, v, t: -0.2 * np.sin(3.0 * q) - 0.1 * v + t, jitter=1),
     "continuous, pushed": armctl.Plant(continuous=True, pushes=armctl.Push(0.011, 0.02, force=[5, 0, 3])),
 }
 WITH_FORCES = {
@@ -100,7 +113,7 @@ def test_both_loops_give_the_same_bits(rubbing, name: str, plant: str):
         for controller in (controller_by_name(name, rubbing), InPython(controller_by_name(name, rubbing)))
     ]
     assert same(*logs)
-    assert len(logs[0]) > 100
+    assert len(logs[0]) > (10 if logs[0].failure else 100)  # learning with encoders at elastic motors diverges
 
 
 @pytest.mark.parametrize("plant", ["nominal", "all noise, delay", "continuous, slow ticks"])
@@ -209,7 +222,7 @@ def test_contacts_are_those_of_the_python_loop(slider):
 def test_a_long_run_in_several_calls_is_the_same(rubbing, monkeypatch):
     plant = PLANTS["all noise, delay"]
     whole = armctl.simulate(rubbing, "computed-torque", Sway(rubbing), plant)
-    monkeypatch.setattr(compiled_loop, "_MAX_TICKS", 7)
+    monkeypatch.setattr(tick_loop, "MAX_TICKS", 7)
     assert same(whole, armctl.simulate(rubbing, "computed-torque", Sway(rubbing), plant))
 
 
@@ -274,6 +287,75 @@ def test_a_torque_that_is_not_finite_ends_the_run_and_the_next_one_continues(bun
         controller.stiffness = 5.0
         logs.append(sim.run(Still(bundled.home, 0.05)))
     assert same(*logs)
+
+
+class Nested:
+    """A controller that simulates another arm in its own tick, and may then break the model that it controls."""
+
+    def __init__(self, arm: armctl.Arm, breaks_at: int = -1):
+        self.law = armctl.PDGravity(arm)
+        self.other = armctl.Simulation(arm, armctl.PD(arm))
+        self.seen = InPython(armctl.PD(arm))
+        self.breaks_at = breaks_at
+        self.ticks = 0
+        self.sim: armctl.Simulation | None = None
+
+    def torque(self, state, setpoint):
+        self.ticks += 1
+        self.other.controller = self.seen if self.ticks % 2 else armctl.PD(self.other.arm)
+        self.other.run(Still(self.other.arm.home, 0.004), dwell=0.0)
+        if self.ticks == self.breaks_at and self.sim is not None:
+            self.other.model.opt.integrator = 99
+            with pytest.raises(mujoco.FatalError, match="integrator"):
+                self.other.run(Still(self.other.arm.home, 0.004), dwell=0.0)
+            self.sim.model.opt.integrator = 99
+        return self.law.torque(state, setpoint)
+
+
+def test_a_controller_may_run_a_simulation_in_its_own_tick(bundled):
+    nested = armctl.simulate(bundled, Nested(bundled), Still(bundled.home + 0.01, 0.05))
+    assert same(nested, armctl.simulate(bundled, armctl.PDGravity(bundled), Still(bundled.home + 0.01, 0.05)))
+
+
+def test_errors_of_mujoco_in_and_after_a_nested_simulation_end_the_right_one(bundled):
+    controller = Nested(bundled, breaks_at=5)
+    sim = controller.sim = armctl.Simulation(bundled, controller)
+    with pytest.raises(mujoco.FatalError, match="integrator"):
+        sim.run(Still(bundled.home, 0.1))
+    assert sim.log is not None
+    assert len(sim.log) == 4
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+@pytest.mark.parametrize("plant", ["jitter", "late, coarse sensors"])
+def test_a_run_goes_on_with_the_same_noise_after_an_exception_in_a_tick(bundled, plant: str, error: type[BaseException]):
+    """The tick that the exception ends is measured already, and not driven: the next run begins with its measurement."""
+
+    class Fails(InPython):
+        ticks = 0
+
+        def torque(self, state, setpoint):
+            self.ticks += 1
+            if self.ticks == 8:
+                raise error
+            return super().torque(state, setpoint)
+
+    law = armctl.PDGravity(bundled)
+    seen = []
+    for controller in (Fails(law), InPython(law)):
+        sim = armctl.Simulation(bundled, controller, PLANTS[plant])
+        if isinstance(controller, Fails):
+            with pytest.raises((armctl.SimulationError, KeyboardInterrupt)):
+                sim.run(Still(bundled.home + 0.01, 0.1))
+            assert sim.log is not None
+            assert len(sim.log) == 7
+            sim.run(Still(bundled.home + 0.01, 0.1), dwell=0.0)
+            seen.append(sim.data.qpos.copy())
+        else:
+            sim.run(Still(bundled.home + 0.01, 7 * sim.dt - sim.dt), dwell=0.0)
+            sim.run(Still(bundled.home + 0.01, 0.1), dwell=0.0)
+            seen.append(sim.data.qpos.copy())
+    assert np.array_equal(*seen)
 
 
 def test_an_error_of_mujoco_does_not_end_the_process_and_keeps_the_ticks(bundled):

@@ -1,0 +1,185 @@
+"""TickLoop: the ticks of a simulation, which the compiled core runs; a controller in Python is called by it at each of them."""
+
+from collections.abc import Callable
+from itertools import repeat
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from armctl import _core
+from armctl.control.failure import checked_torque
+from armctl.control.interface import WRENCH_SIZE, CompiledController, Controller, State, Traits, has_compiled_law, traits
+from armctl.core.trajectory import Setpoint, TickReference
+from armctl.core.validation import Array, read_only
+from armctl.run.execution.recorder import TickRows
+from armctl.run.sim.disturbances import Disturbances
+from armctl.run.sim.mujoco_library import mujoco_api
+from armctl.run.sim.plant import DIVERGED_SPEED
+from armctl.run.sim.plant_model import PlantModel
+from armctl.run.sim.wrench_sensor import WrenchSensor
+
+MAX_TICKS = 20_000  # of one call, which an interrupt cannot end while a compiled law runs
+_CALLED = (_core.TickStatus.not_finite, _core.TickStatus.repaired)  # the law was called in the row that did not complete
+_FLOAT64 = np.dtype(np.float64)
+
+Failed = Callable[[Exception], Exception]
+
+
+class TickLoop:
+    """The tick loop of one simulation: measure, control, step, record."""
+
+    def __init__(self, built: PlantModel, wrench_sensor: WrenchSensor):
+        """The loop of a plant whose wrenches a sensor measures, for controllers that need them."""
+        self._built = built
+        self._wrench_sensor = wrench_sensor
+        self._loop = _core.TickLoop(
+            mujoco_api(),
+            built.model,
+            built.data,
+            **built.train.addresses,
+            pushed_arm=built.pushed_arm,
+            substeps=built.substeps,
+            dt=built.dt,
+            diverged_speed=DIVERGED_SPEED,
+        )
+
+    def law_of(self, controller: Controller) -> CompiledController | None:
+        """A controller whose compiled law runs the ticks without Python, else None. Such a law gets the wrench on one tip."""
+        if not has_compiled_law(controller, self._built.actuation.n):
+            return None
+        return controller if self._wrench_sensor.arms == 1 or not controller.needs_wrench else None
+
+    def run(
+        self, controller: Controller, rows: TickRows, last: int, disturbances: Disturbances | None, failed: Failed
+    ) -> _core.TickEnd:
+        """Completes the rows from the first that is not complete to the one before `last`, unless the run ends early.
+
+        `failed` makes the exception that is raised of the one that a controller in Python raised.
+        """
+        built = self._built
+        own = traits(controller)
+        compiled = self.law_of(controller)
+        law = None
+        if compiled is not None:
+            law = compiled.begin(State(built.q, built.v, float(built.data.time), built.dt, built.continuous))
+        end = _core.TickEnd(rows.count)
+        while rows.count < last and end.status == _core.TickStatus.complete and not end.error:
+            part = min(last, rows.count + MAX_TICKS)
+            seen: dict[str, Array] = {}
+            if law is None:
+                seen = self._seen_rows(own, part - rows.count)
+                called: _core.Law = self._callback(controller, own, rows, part, seen, failed)
+            else:
+                called = law
+            end = self._run_part(called, own, rows, part, disturbances, seen)
+        if compiled is not None:
+            compiled.finish(built.data.time + (built.dt if end.status in _CALLED else 0.0))
+        return end
+
+    def _run_part(
+        self,
+        law: _core.Law,
+        own: Traits,
+        rows: TickRows,
+        last: int,
+        disturbances: Disturbances | None,
+        seen: dict[str, Array],
+    ) -> _core.TickEnd:
+        first = rows.count
+        arrays: dict[str, Any] = {
+            name: np.ascontiguousarray(column, dtype=np.float64) for name, column in rows.reference._asdict().items()
+        }
+        planned = None if disturbances is None else disturbances.plan(last - first)
+        if disturbances is not None and planned is not None:
+            arrays |= planned._asdict() | {"push": disturbances.push}
+        tips: list[_core.WrenchSensor] = []
+        wrench_noise = None
+        if own.needs_wrench:
+            times = self._built.tick_times(last - first)
+            tips, wrench_noise = self._wrench_sensor.plan(times)
+            arrays |= {"times": times, "wrench_noise": wrench_noise, "wrench_rows": rows.with_wrench(WRENCH_SIZE * len(tips))}
+        end = _core.TickEnd(first)
+        try:
+            self._loop.run(
+                law,
+                end,
+                None if disturbances is None else disturbances.sensors,
+                None if disturbances is None else disturbances.delay,
+                None if disturbances is None else disturbances.joint_torque(),
+                tips,
+                rows.contacts[-1][1] if rows.contacts else b"",
+                **arrays,
+                **seen,
+                tips=len(tips),
+                first=first,
+                last=last,
+                qpos_rows=rows.qpos,
+                v_rows=rows.v,
+                command_rows=rows.tau_cmd,
+                torque_rows=rows.tau,
+            )
+        finally:  # an exception of the law, or an interrupt, ends the call after its last tick
+            rows.count = end.count
+            rows.contacts += end.contacts
+            if disturbances is not None and planned is not None:
+                disturbances.took(planned, end.measured, end.driven)
+            if own.needs_wrench:
+                self._wrench_sensor.took(wrench_noise, end.measured)
+        return end
+
+    def _seen_rows(self, own: Traits, ticks: int) -> dict[str, Array]:
+        """Rows for what a controller in Python gets, which it may keep."""
+        n = self._built.actuation.n
+        rows: dict[str, Array] = {"q_seen_rows": np.empty((ticks, n)), "v_seen_rows": np.empty((ticks, n))}
+        if own.needs_wrench:
+            rows["wrench_seen_rows"] = np.empty((ticks, WRENCH_SIZE * self._wrench_sensor.arms))
+        if own.needs_deflection:
+            rows["deflection_seen_rows"] = np.zeros((ticks, 2, n))
+        return rows
+
+    def _callback(
+        self, controller: Controller, own: Traits, rows: TickRows, last: int, seen: dict[str, Array], failed: Failed
+    ) -> _core.CallbackLaw:
+        """A law that calls a controller at the coming ticks. Each simulation's speed depends on each line of `tick`."""
+        built = self._built
+        data = built.data
+        dt = built.dt
+        continuous = built.continuous
+        n = built.actuation.n
+        tau_rows = np.empty(n)
+        measured = [
+            repeat(None) if name not in seen else read_only(seen[name])
+            for name in ("q_seen_rows", "v_seen_rows", "wrench_seen_rows", "deflection_seen_rows")
+        ]
+        states = zip(*measured, strict=False)
+        setpoints = zip(*(column[rows.count : last] for column in rows.reference), strict=True)
+        torque = controller.torque
+        foresee = None if own.foresee is None else _foresee(own.foresee, rows)
+        new = tuple.__new__  # a NamedTuple's own constructor takes twice as long
+
+        def tick() -> None:
+            q, v, wrench, deflection = next(states)
+            setpoint = next(setpoints)
+            try:
+                if foresee is not None:
+                    foresee()
+                tau = torque(new(State, (q, v, data.time, dt, continuous, wrench, deflection)), new(Setpoint, setpoint))
+                if not (type(tau) is ndarray and tau.dtype is _FLOAT64 and len(tau) == n):
+                    tau = checked_torque(tau, n)
+                tau_rows[:] = tau
+            except Exception as error:
+                raise failed(error) from error
+
+        return _core.CallbackLaw(tick, tau_rows)
+
+
+def _foresee(foresee: Callable[[TickReference], None], rows: TickRows) -> Callable[[], None]:
+    """Gives a controller the reference from the next row on, at each call."""
+    coming = iter(range(rows.count, len(rows.v)))
+
+    def call() -> None:
+        row = next(coming)
+        foresee(TickReference(*(column[row:] for column in rows.reference)))
+
+    return call
