@@ -99,8 +99,12 @@ def traits(controller: object) -> Traits:
     """What a controller is besides its torque."""
     if isinstance(controller, ControllerWrapper):
         return controller.traits
-    default = Traits(name=type(controller).__name__)
-    return Traits(*(getattr(controller, name, value) for name, value in default._asdict().items()))
+    return Traits(
+        name=getattr(controller, "name", type(controller).__name__),
+        needs_wrench=getattr(controller, "needs_wrench", False),
+        needs_deflection=getattr(controller, "needs_deflection", False),
+        foresee=getattr(controller, "foresee", None),
+    )
 
 
 def has_torque(given: object) -> TypeGuard[Controller]:

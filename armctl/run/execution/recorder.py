@@ -30,7 +30,7 @@ class TickRows:
 
     def __init__(self, reference: TickReference, nq: int, n: int):
         ticks = len(reference.q)
-        self.reference = TickReference(*(read_only(np.asarray(column)) for column in reference))
+        self.reference = TickReference(*(read_only(np.ascontiguousarray(column, np.float64)) for column in reference))
         self.qpos = np.empty((ticks, nq))  # the whole model's positions
         self.v = np.empty((ticks, n))  # rad/s
         self.tau_cmd = np.empty((ticks, n))  # N m, the command

@@ -89,6 +89,8 @@ class Drivetrain:
 
     def deflection(self, data: mujoco.MjData) -> Array:
         """(2, n) positions and speeds of the motors minus those of the links."""
+        if not self.rotors and not self.springs:
+            return np.zeros((2, self.actuation.n))
         motors = np.array([data.qpos[self.motor_qpos], data.qvel[self.motor_dof]])
         return motors - [self.link_positions(data.qpos), self.link_speeds(data.qvel)]
 

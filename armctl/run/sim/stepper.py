@@ -192,19 +192,22 @@ class Stepper:
 
     @property
     def state(self) -> State:
+        return self._true_state()._replace(wrench=self._wrench_sensor.read(self._run.push))
+
+    def _true_state(self) -> State:
+        """The state without the wrench."""
         built = self._built
-        wrench = self._wrench_sensor.read(self._run.push)
         deflection = built.train.deflection(built.data)
-        return State(built.q, built.v, float(built.data.time), built.dt, built.continuous, wrench, deflection)
+        return State(built.q, built.v, float(built.data.time), built.dt, built.continuous, None, deflection)
 
     @property
     def measured_state(self) -> State:
         """The state as the plant's sensors measure it now; the same until the next tick."""
-        state = self.state
+        state = self._true_state()
         if self._run.disturbances is not None:
             q, v, deflection = self._run.disturbances.measure()
             state = state._replace(q=q, v=v, deflection=deflection)
-        return state._replace(wrench=self._wrench_sensor.measure(self._run.push, state, self.motor_torque))
+        return state._replace(wrench=self._wrench_sensor.measure(self._run.push, state))
 
     @property
     def motor_torque(self) -> Array:

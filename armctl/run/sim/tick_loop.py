@@ -87,9 +87,7 @@ class TickLoop:
         seen: dict[str, Array],
     ) -> _core.TickEnd:
         first = rows.count
-        arrays: dict[str, Any] = {
-            name: np.ascontiguousarray(column, dtype=np.float64) for name, column in rows.reference._asdict().items()
-        }
+        arrays: dict[str, Any] = rows.reference._asdict()
         planned = None if disturbances is None else disturbances.plan(last - first)
         if disturbances is not None and planned is not None:
             arrays |= planned._asdict() | {"push": disturbances.push}

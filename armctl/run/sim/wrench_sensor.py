@@ -38,6 +38,7 @@ class WrenchSensor:
     def __init__(self, arms: Sequence[Arm], built: PlantModel):
         plant = built.plant
         model = built.model
+        self._built = built
         self._plant = plant
         self._model = model
         self._data = built.data
@@ -75,7 +76,7 @@ class WrenchSensor:
     def read(self, push: Array | None) -> Array:
         """The true wrenches now; `push` (6,) is the wrench of the plant's pushes on the first tip, if there are any."""
         data = self._data
-        self.true = np.zeros_like(self.true)
+        self.true = np.zeros(len(self.true))
         if data.ncon or self._has_connections or data.xfrc_applied.any():
             for k, tip in enumerate(self._sensors()):
                 tip.read(None if k else push, self.true[WRENCH_SIZE * k : WRENCH_SIZE * (k + 1)])
@@ -83,10 +84,11 @@ class WrenchSensor:
             self.true[:WRENCH_SIZE] += push
         return self.true
 
-    def measure(self, push: Array | None, state: State, tau: Array) -> Array:
-        """What the sensors give at this tick, with noise and delay, for the motors' torque (n,) N m in the last tick."""
+    def measure(self, push: Array | None, state: State) -> Array:
+        """What the sensors give at this tick, with noise and delay."""
         if not self._is_sampled:
             return self.read(push)
+        tau = self._built.motor_torque
         noise = np.zeros_like(self.true)
         if self._has_noise and not self.has_measured(state.t):
             noise = self._noise(1)[0]
