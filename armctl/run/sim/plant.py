@@ -19,7 +19,7 @@ from armctl.model.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.model.mjmodel.edit import add_payload
 from armctl.model.mjmodel.queries import actuator_name, is_on_joint
 from armctl.model.mjmodel.spring_joints import spring_joints
-from armctl.run.sim.drivetrain import apply_drivetrain, drivetrain_of, finish_drivetrain, new_model, per_joint
+from armctl.run.sim.drivetrain import Drivetrain, apply_drivetrain, drivetrain_of, finish_drivetrain, new_model, per_joint
 from armctl.run.sim.plant_attribute import Kind, attributes_of, number_text, plant_attribute
 
 # Runge-Kutta is stable up to steps of 2.8 time constants of the fastest damped joint; one time constant keeps it accurate.
@@ -314,11 +314,13 @@ class Brake:
         brake(self._model, np.setdiff1d(self._dofs, dofs))
 
 
-def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm]) -> None:
+def apply_plant(
+    model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm], train: Drivetrain | None = None
+) -> None:
     """Gives a model by `new_model` the differences of a plant, instead of those that it has; no joint is braked then.
 
     A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant; the state in its
-    data is lost. A payload hangs at the first arm's tip.
+    data is lost. A payload hangs at the first arm's tip. `train` is the drivetrain of the model, if the caller knows it.
     """
     for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
         values = getattr(arms[0].model, name)
@@ -344,7 +346,7 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
     dofs = np.concatenate([arm.dof_adr for arm in arms])
     for what, column in (("coulomb_friction", model.dof_frictionloss), ("viscous_friction", model.dof_damping)):
         column[dofs] += per_joint(what, getattr(plant, what), arms)
-    train = drivetrain_of(arms, plant)
+    train = drivetrain_of(arms, plant) if train is None else train
     apply_drivetrain(model, plant, arms, train)
     mujoco.mj_setConst(model, data)
     if plant.continuous:

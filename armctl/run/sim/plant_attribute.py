@@ -80,7 +80,9 @@ class PlantAttribute:
         """Whether a checked value differs from the default."""
         if isinstance(value, tuple):
             return bool(value)
-        return bool(np.any(value != self.default))
+        if isinstance(value, np.ndarray) or isinstance(self.default, np.ndarray):
+            return bool(np.any(value != self.default))
+        return bool(value != self.default)
 
     def describe(self, value: Any) -> str:
         """A checked value in words."""

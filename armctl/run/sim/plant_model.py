@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.core.validation import Array
+from armctl.core.validation import Array, IntArray
 from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.arm import Arm
 from armctl.run.sim.drivetrain import Drivetrain, Structure, drivetrain_of, new_model, structure_of
@@ -28,7 +29,8 @@ class PlantModel:
     model: mujoco.MjModel
     data: mujoco.MjData
     train: Drivetrain
-    brake: Brake  # of joints that belong to none of the arms
+    held: IntArray  # addresses in qvel of the joints that belong to none of the arms
+    brake: Brake  # of these
     pushed_arm: _core.ArmModel  # the first one, at whose tip payload and pushes act
     dt: float  # s, the tick
     continuous: bool  # whether the arms move almost continuously during a tick
@@ -39,12 +41,15 @@ class PlantModel:
         """The model of a plant; that of another plant of the same arms becomes it, if it has the same structure."""
         structure = structure_of(arms, plant)
         if before is not None and before.structure == structure:
-            model, data, train = before.model, before.data, before.train
+            model = before.model
+            data = before.data
+            train = before.train
         else:
             model = new_model(arms, plant)
             data = mujoco.MjData(model)
             train = drivetrain_of(arms, plant)
-        apply_plant(model, data, plant, arms)
+        apply_plant(model, data, plant, arms, train)
+        held = held_dofs(*arms) if before is None else before.held
         dt = arms[0].dt if plant.timestep is None else plant.timestep
         return cls(
             plant=plant,
@@ -52,12 +57,18 @@ class PlantModel:
             model=model,
             data=data,
             train=train,
-            brake=Brake(model, held_dofs(*arms)),
+            held=held,
+            brake=Brake(model, held),
             pushed_arm=arms[0].core_model,
             dt=dt,
             continuous=bool(model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)),
             substeps=round(dt / model.opt.timestep),
         )
+
+    @cached_property
+    def description(self) -> str:
+        """The plant in words."""
+        return str(self.plant)
 
     @property
     def actuation(self) -> Actuation:

@@ -164,7 +164,7 @@ class Stepper:
     @property
     def description(self) -> str:
         """The plant in words."""
-        return str(self._built.plant)
+        return self._built.description
 
     @property
     def q_ref(self) -> Array:
