@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "actions.hpp"
+#include "sensors.hpp"
 
 namespace armctl {
 
@@ -58,7 +59,7 @@ public:
         if (law.needs_wrench()) { throw InputError("law: environments measure no wrench, and this law needs one"); }
         action().check(joints());
         for (size_t row = 0; row < arrays_.count(); ++row) {
-            copies_.emplace_back(law.clone(), options_.max_delay, action().smoothing);
+            copies_.emplace_back(law.clone(), options_, action().smoothing);
             restart(row, 0);
         }
     }
@@ -90,6 +91,7 @@ public:
         require_rows(row, row + 1);
         Copy& copy = copies_[row];
         copy.law->reset();
+        copy.sensors.restart();
         copy.delay.restart(delay);
         copy.mean.restart(arrays_.q_ref.row(row));
         copy.grip_target = 1.0;
@@ -138,10 +140,12 @@ private:
     const ActionOptions& action() const { return options_.action; }
 
     struct Copy {
-        Copy(std::unique_ptr<Law> own_law, size_t max_delay, size_t smoothing)
-            : law(std::move(own_law)), delay(law->joints(), max_delay), mean(law->joints(), smoothing) {}
+        Copy(std::unique_ptr<Law> own_law, const EnvironmentOptions& options, size_t smoothing)
+            : law(std::move(own_law)), sensors({.motors = options.motors}), delay(law->joints(), options.max_delay),
+              mean(law->joints(), smoothing) {}
 
         std::unique_ptr<Law> law;
+        Sensors sensors;
         Delay delay;
         ReferenceMean mean;
         MujocoSimulation simulation;
@@ -154,9 +158,7 @@ private:
         const EnvironmentRows& rows;
         ActionTargets targets{rows.arm_, rows.action()};
         TorqueGuard guard{rows.arm_, rows.action()};
-        Numbers q_seen = Numbers(rows.joints());
-        Numbers v_seen = q_seen;
-        Numbers tau = q_seen;
+        Numbers tau = Numbers(rows.joints());
     };
 
     void require_rows(size_t first, size_t last) const {
@@ -176,19 +178,20 @@ private:
     // Measure, control, step.
     void tick(size_t row, size_t tick, Workspace& work) {
         Copy& copy = copies_[row];
-        armctl::copy(arrays_.q.row(row), work.q_seen);
-        armctl::copy(arrays_.v.row(row), work.v_seen);
-        add_noise(arrays_.noise, row * action().ticks + tick, work.q_seen, work.v_seen);
+        const size_t numbers = 2 * joints();
+        const size_t noise = (row * action().ticks + tick) * numbers;
+        copy.sensors.measure(copy.simulation, arrays_.noise.empty() ? Vector() : arrays_.noise.subspan(noise, numbers), {});
+        copy.sensors.end_tick();
+        const State state{.q = copy.sensors.q(), .v = copy.sensors.v(), .wrench = {}};
         if (action().mode == ActionMode::torque) {
-            work.guard.torque(arrays_.action.row(row), work.q_seen, work.v_seen, work.tau);
+            work.guard.torque(arrays_.action.row(row), state.q, state.v, work.tau);
         } else {
             const Setpoint setpoint = work.targets.advance(arrays_.target.row(row), arrays_.q_ref.row(row), arrays_.v_ref.row(row));
             const Setpoint smooth = action().smoothing == 1 ? setpoint : copy.mean.mean(setpoint);
-            copy.law->torque({.q = work.q_seen, .v = work.v_seen, .wrench = {}}, smooth, work.tau);
+            copy.law->torque(state, smooth, work.tau);
         }
         if (!options_.gripper.empty()) { drive_gripper(row); }
-        command_motors(options_.motors, copy.delay.delayed(work.tau), copy.simulation);
-        api_->step(copy.simulation.model, copy.simulation.data);
+        move_arm(*api_, options_.motors, copy.delay.delayed(work.tau), 1, copy.simulation);
         read_joints(options_.motors, copy.simulation, arrays_.q.row(row), arrays_.v.row(row));
         if (options_.obstacle && Contacts(api_->contacts, copy.simulation.data).touch(*options_.obstacle)) { ++arrays_.touched[row]; }
     }

@@ -1,4 +1,4 @@
-// What the ticks of simulations and of environments have in common: motors, measurement noise and delays of commands.
+// What the ticks of simulations and of environments have in common: motors, delays of commands, and steps.
 #pragma once
 #include <cmath>
 #include <limits>
@@ -82,16 +82,6 @@ inline void read_torques(const Motors& motors, const MujocoSimulation& simulatio
     for (size_t i = 0; i < motors.size(); ++i) { tau[i] = simulation.actuator_force[motors[i].force] * motors[i].gear; }
 }
 
-// Adds the noise (ticks, 2, n) of a tick to measured positions and velocities (n,), if there is noise.
-inline void add_noise(Vector noise, size_t tick, Result q, Result v) {
-    if (noise.empty()) { return; }
-    const size_t n = q.size();
-    for (size_t i = 0; i < n; ++i) {
-        q[i] += noise[2 * n * tick + i];
-        v[i] += noise[2 * n * tick + n + i];
-    }
-}
-
 // Commands that reach the motors some ticks after they were given.
 class Delay {
 public:
@@ -126,5 +116,11 @@ private:
     size_t given_ = 0;  // commands since the start
     size_t age_ = 0;    // ticks, of the command that was returned last
 };
+
+// The end of a tick: the motors receive a torque (n,) N m, and MuJoCo makes its steps.
+inline void move_arm(const MujocoApi& api, const Motors& motors, Vector torque, size_t substeps, const MujocoSimulation& simulation) {
+    command_motors(motors, torque, simulation);
+    for (size_t k = 0; k < substeps; ++k) { api.step(simulation.model, simulation.data); }
+}
 
 }  // namespace armctl

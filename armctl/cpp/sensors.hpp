@@ -1,4 +1,4 @@
-// How the sensors of a plant measure its joints: with noise, in steps, late, at the links or at the motors.
+// How the sensors of a plant or an environment measure joints: with noise, in steps, late, at the links or at the motors.
 #pragma once
 #include "motors.hpp"
 
@@ -7,7 +7,7 @@ namespace armctl {
 struct SensorsOptions {
     Motors motors;
     double dt = 0.0;              // s, the tick
-    Numbers steps;                // (n,) rad, of the encoders; empty for exact ones
+    Numbers steps{};              // (n,) rad, of the encoders; empty for exact ones
     bool is_at_motors = false;    // whether the encoders are at the motors instead of the links
     bool is_differenced = false;  // whether a measured velocity is the difference of two measured positions
     size_t max_age = 0;           // ticks by which what is read is old at most
@@ -22,6 +22,13 @@ public:
     }
 
     size_t joints() const { return options_.motors.size(); }
+
+    // Begins a new run.
+    void restart() {
+        std::ranges::fill(last_, unknown);
+        taken_ = 0;
+        has_measured_ = false;
+    }
 
     // Whether this tick is measured already.
     bool has_measured() const { return has_measured_; }

@@ -147,12 +147,13 @@ private:
             ++end.measured;
             law.torque(state, ticks.setpoint(row), tau_);
             copy(tau_, ticks.command_rows.row(row));
-            if (!is_finite(tau_) || !drive(ticks, signals, row)) {
+            if (!is_finite(tau_) || !push(ticks, signals, row)) {
                 end.status = TickStatus::not_finite;
                 return;
             }
             ++end.driven;
-            for (size_t k = 0; k < options_.substeps; ++k) { api_->step(simulation_.model, simulation_.data); }
+            if (signals.sensors != nullptr) { signals.sensors->end_tick(); }
+            move_arm(*api_, options_.motors, delayed(ticks, signals, row), options_.substeps, simulation_);
             if (has_repaired(api_->repairs, simulation_.data)) {
                 end.status = TickStatus::repaired;
                 return;
@@ -217,27 +218,28 @@ private:
         }
     }
 
-    // Sets the controls of the motors from the commanded torque, and the forces on the links. False if the plant gave none.
-    bool drive(const Ticks& ticks, const Signals& signals, size_t row) {
-        const size_t tick = row - ticks.first;
-        if (ticks.pushes.rows > 0 || signals.joint_torque != nullptr) {
-            std::ranges::fill(pushing_, 0.0);
-            if (ticks.pushes.rows > 0) {
-                const size_t n = pushed_.model().n();
-                copy(ticks.pushes.row(tick), ticks.push);
-                pushed_.tip_force(Vector(q_).first(n), ticks.push, Result(pushing_).first(n));
-            }
-            if (signals.joint_torque != nullptr) {
-                signals.joint_torque->torque({.q = q_, .v = ticks.v_rows.row(row), .wrench = {}}, ticks.setpoint(row), joint_torque_);
-                if (!is_finite(joint_torque_)) { return false; }
-                for (size_t i = 0; i < pushing_.size(); ++i) { pushing_[i] += joint_torque_[i]; }
-            }
-            push_links(options_.motors, pushing_, simulation_);
+    // Applies the forces on the links. False if the plant gave none.
+    bool push(const Ticks& ticks, const Signals& signals, size_t row) {
+        if (ticks.pushes.rows == 0 && signals.joint_torque == nullptr) { return true; }
+        std::ranges::fill(pushing_, 0.0);
+        if (ticks.pushes.rows > 0) {
+            const size_t n = pushed_.model().n();
+            copy(ticks.pushes.row(row - ticks.first), ticks.push);
+            pushed_.tip_force(Vector(q_).first(n), ticks.push, Result(pushing_).first(n));
         }
-        const size_t jitter = ticks.jitter.empty() ? 0 : static_cast<size_t>(ticks.jitter[tick]);
-        command_motors(options_.motors, signals.delay == nullptr ? Vector(tau_) : signals.delay->delayed(tau_, jitter), simulation_);
-        if (signals.sensors != nullptr) { signals.sensors->end_tick(); }
+        if (signals.joint_torque != nullptr) {
+            signals.joint_torque->torque({.q = q_, .v = ticks.v_rows.row(row), .wrench = {}}, ticks.setpoint(row), joint_torque_);
+            if (!is_finite(joint_torque_)) { return false; }
+            for (size_t i = 0; i < pushing_.size(); ++i) { pushing_[i] += joint_torque_[i]; }
+        }
+        push_links(options_.motors, pushing_, simulation_);
         return true;
+    }
+
+    // The torque that the motors get at a tick.
+    Vector delayed(const Ticks& ticks, const Signals& signals, size_t row) {
+        if (signals.delay == nullptr) { return tau_; }
+        return signals.delay->delayed(tau_, ticks.jitter.empty() ? 0 : static_cast<size_t>(ticks.jitter[row - ticks.first]));
     }
 
     // Notes the geoms that touch, if they changed.
