@@ -97,7 +97,7 @@ private:
     }
 
     SensorsOptions options_;
-    DenseMatrix samples_;  // ring buffer of (4 n,): positions, velocities, deflections and their rates
+    Mat samples_;  // ring buffer of (4 n,): positions, velocities, deflections and their rates
     Numbers read_;
     Numbers last_;  // (n,) rad, the positions of the last tick whose differences are velocities
     size_t taken_ = 0;

@@ -317,8 +317,8 @@ void a_loop_follows_the_formula_of_its_law() {
     ComputedTorque law(make_arm(), computed_torque_gains());
     Recording recording(count, {0.3, -0.2});
     const Ticks ticks = recording.ticks(count);
-    loop.check(ticks, law, nullptr, nullptr);
-    const TickEnd end = loop.run(ticks, law, nullptr, nullptr, "");
+    loop.check(ticks, law, {});
+    const TickEnd end = loop.run(ticks, law, {}, "");
     checks::that(end.status == TickStatus::complete && end.count == count && end.error.empty(), "the loop is complete");
     for (size_t row = 0; row < count; ++row) {
         const double wt = 20.0 * dt * static_cast<double>(row);
@@ -339,7 +339,7 @@ void a_delay_gives_the_motors_what_was_commanded_before() {
     Delay delay(n, 3);
     delay.restart(3);
     Recording recording(count, {0.1, 0.1});
-    const TickEnd end = loop.run(recording.ticks(count), law, &delay, nullptr, "");
+    const TickEnd end = loop.run(recording.ticks(count), law, {.delay = &delay}, "");
     checks::that(end.count == count, "the loop is complete");
     for (size_t row = 3; row < count; ++row) {
         checks::that(std::ranges::equal(recording.torque.row(row), recording.command.row(row - 3)), "three ticks later");
@@ -352,14 +352,13 @@ void a_loop_ends_where_something_is_wrong() {
     TickLoop loop(mujoco_api(empty), mujoco.arrays(), make_arm(), loop_options());
     PD law({.stiffness = {50.0, std::numeric_limits<double>::quiet_NaN()}, .damping = {5.0, 2.0}});
     Recording recording(5, {0.1, 0.1});
-    const TickEnd end = loop.run(recording.ticks(5), law, nullptr, nullptr, "");
+    const TickEnd end = loop.run(recording.ticks(5), law, {}, "");
     checks::that(end.status == TickStatus::not_finite && end.row == 0 && end.count == 0, "a torque that is NaN ends the loop");
     mujoco.data->qvel[1] = 2e3;
-    const TickEnd fast = loop.run(recording.ticks(5), law, nullptr, nullptr, "");
+    const TickEnd fast = loop.run(recording.ticks(5), law, {}, "");
     checks::that(fast.status == TickStatus::diverged, "a joint that is too fast ends the loop");
-    checks::throws<InputError>([&] { loop.check(recording.ticks(6), law, nullptr, nullptr); }, "first, last: ");
-    checks::throws<InputError>([&] { loop.check(recording.ticks(5), PD({.stiffness = {1.0}, .damping = {1.0}}), nullptr, nullptr); },
-                               "law: ");
+    checks::throws<InputError>([&] { loop.check(recording.ticks(6), law, {}); }, "first, last: ");
+    checks::throws<InputError>([&] { loop.check(recording.ticks(5), PD({.stiffness = {1.0}, .damping = {1.0}}), {}); }, "law: ");
 }
 
 }  // namespace

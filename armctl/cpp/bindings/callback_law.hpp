@@ -22,7 +22,7 @@ public:
     CallbackLaw(nanobind::object call, nanobind::object tau)
         : Cloneable(written(tau).size()), call_(std::move(call)), array_(std::move(tau)), tau_(written(array_)) {}
 
-    void torque(const State& /*state*/, const Setpoint& /*setpoint*/, Result tau) override {
+    void torque(const State& /*state*/, const Setpoint& /*setpoint*/, Result tau) noexcept override {
         const nanobind::gil_scoped_acquire acquire;
         PyObject* none = PyObject_CallNoArgs(call_.ptr());
         if (none == nullptr) {
