@@ -66,13 +66,13 @@ class TickLoop:
         end = _core.TickEnd(rows.count)
         while rows.count < last and end.status == _core.TickStatus.complete and not end.error:
             part = min(last, rows.count + MAX_TICKS)
-            seen: dict[str, Array] = {}
             if law is None:
                 seen = self._seen_rows(own, part - rows.count)
-                called: _core.Law = self._callback(controller, own, rows, part, seen, failed)
+                end = self._run_part(
+                    self._callback(controller, own, rows, part, seen, failed), own, rows, part, disturbances, seen
+                )
             else:
-                called = law
-            end = self._run_part(called, own, rows, part, disturbances, seen)
+                end = self._run_part(law, own, rows, part, disturbances, {})
         if compiled is not None:
             compiled.finish(built.data.time + (built.dt if end.status in _CALLED else 0.0))
         return end
@@ -118,6 +118,9 @@ class TickLoop:
                 torque_rows=rows.tau,
             )
         finally:  # an exception of the law, or an interrupt, ends the call after its last tick
+            del (
+                law
+            )  # a traceback that kept it would keep the controller, since Python does not see what a law of the core keeps
             rows.count = end.count
             rows.contacts += end.contacts
             if disturbances is not None and planned is not None:

@@ -1,9 +1,11 @@
 """A controller in Python and its compiled law make the same simulation: every controller on every plant, bit for bit."""
 
 import ctypes
+import gc
 import itertools
 import threading
 import time
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -324,6 +326,22 @@ def test_errors_of_mujoco_in_and_after_a_nested_simulation_end_the_right_one(bun
         sim.run(Still(bundled.home, 0.1))
     assert sim.log is not None
     assert len(sim.log) == 4
+
+
+def test_a_controller_that_keeps_its_own_exception_and_simulation_is_forgotten(bundled):
+    class Failing:
+        def torque(self, state, setpoint):
+            raise ValueError
+
+    controller = Failing()
+    controller.sim = armctl.Simulation(bundled, controller, PLANTS["with a torque of its own"])
+    with pytest.raises(armctl.SimulationError) as raised:
+        controller.sim.run(Still(bundled.home, 0.1))
+    controller.error = raised.value
+    kept = weakref.ref(controller)
+    del controller, raised
+    gc.collect()
+    assert kept() is None
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
