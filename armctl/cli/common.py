@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from armctl.control import CONTROLLERS
 from armctl.core.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -21,22 +22,6 @@ WRONG_CALL = 2
 INTERRUPTED = 130
 
 PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, all, or a number of Plant; several joined with +"
-# Those of armctl.control.CONTROLLERS, which the help must not import: it would take a second.
-CONTROLLER_NAMES = (
-    "pd",
-    "pd-feedforward",
-    "pd-gravity",
-    "computed-torque",
-    "computed-torque-textbook",
-    "computed-torque-observer",
-    "computed-torque-learning",
-    "qp",
-    "lqr",
-    "mpc",
-    "operational-space",
-    "impedance",
-)
-CONTROLLERS_HELP = ", ".join(CONTROLLER_NAMES)
 _CHAIN_OPTIONS = {
     "--tip": "site, body or geom at the end of the chain",
     "--base": "body at the start of the chain; joints above it are held",
@@ -99,10 +84,15 @@ def timestep_from(args: argparse.Namespace) -> float | None:
     return one_number("timestep", args.timestep) if args.timestep else None
 
 
+def list_controllers(parser: argparse.ArgumentParser, *, tunable: bool = False) -> None:
+    """Lists the controllers below a command's options: all of them, or those that `tune` takes."""
+    shown = [(name, row.summary) for name, row in CONTROLLERS.items() if row.tunable_gains is not None or not tunable]
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = "\n".join(["controllers:", *(f"  {name:<26}{summary}" for name, summary in shown)])
+
+
 def controllers_from(text: str) -> list[str]:
     """The names of --controllers, checked; "all" is every controller."""
-    from armctl.control import CONTROLLERS
-
     if text == "all":
         return list(CONTROLLERS)
     controllers = names(text)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.cli import common
+from armctl.control import CONTROLLERS
 
 if TYPE_CHECKING:
     from armctl.control.interface import Controller
@@ -28,8 +29,9 @@ def add(commands: common.Commands) -> None:
         "--controllers",
         default="pd,computed-torque",
         metavar="A,B,...",
-        help=f"all, or of {common.CONTROLLERS_HELP} (default %(default)s)",
+        help="all, or some of those below (default %(default)s)",
     )
+    common.list_controllers(parser)
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{common.PLANTS_HELP} (default nominal)")
     parser.add_argument(
         "--encoder-noise",
@@ -107,7 +109,6 @@ def _tuned(
 ) -> tuple[list[Controller | str], list[str]]:
     """The controllers tuned to the delay margin on all plants, and a remark on each that keeps its default gains."""
     from armctl.core.progress import progress_bar
-    from armctl.lab.loops.gain_family import LAWS
     from armctl.lab.loops.tuning import tune
 
     delay_margin = common.one_number("delay_margin", args.delay_margin)
@@ -115,8 +116,9 @@ def _tuned(
     notes: list[str] = []
     with progress_bar("tune", len(names), "controllers") as bar:
         for name in names:
+            is_tunable = CONTROLLERS[name].tunable_gains is not None
             found = (
-                tune(arm, name, delay_margin, configurations=args.configurations or 1, plants=plants) if name in LAWS else None
+                tune(arm, name, delay_margin, configurations=args.configurations or 1, plants=plants) if is_tunable else None
             )
             controllers.append(name if found is None else found.controller)
             if not found:

@@ -11,9 +11,8 @@ _STANDARD_SPEEDS = (1.0, 0.5, 0.1)
 def add(commands: common.Commands) -> None:
     parser = common.add_command(commands, "iso9283", run, "measure the performance criteria of ISO 9283")
     common.add_arm(parser)
-    parser.add_argument(
-        "--controller", default="computed-torque-observer", help=f"{common.CONTROLLERS_HELP} (default %(default)s)"
-    )
+    parser.add_argument("--controller", default="computed-torque-observer", help="one of those below (default %(default)s)")
+    common.list_controllers(parser)
     parser.add_argument("--plant", default="noise", metavar="A+B", help=f"{common.PLANTS_HELP} (default noise)")
     parser.add_argument("--identify", action="store_true", help="identify the payload first; the controller then uses it")
     parser.add_argument("--cycles", type=int, default=30, help="number of cycles through the five poses (default 30)")

@@ -23,11 +23,13 @@ def add(commands: common.Commands) -> None:
         parser.add_argument("--configurations", type=int, metavar="N", default=20, help="number of configurations (default 20)")
         common.add_timestep(parser)
         common.add_json(parser)
-    margins.add_argument("--controllers", default="all", metavar="A,B,...", help=f"of {common.CONTROLLERS_HELP} (default all)")
+    margins.add_argument("--controllers", default="all", metavar="A,B,...", help="some of those below (default all)")
+    common.list_controllers(margins)
     margins.add_argument(
         "--report", type=Path, metavar="DIR", help="write a page with Nyquist, sensitivity and compliance plots"
     )
-    tune.add_argument("law", help=f"the controller, of {common.CONTROLLERS_HELP}")
+    tune.add_argument("law", help="the controller, one of those below")
+    common.list_controllers(tune, tunable=True)
     tune.add_argument(
         "--delay-margin",
         default=str(MIN_DELAY_MARGIN_S),

@@ -16,7 +16,8 @@ def add(commands: common.Commands) -> None:
     parser.add_argument(
         "--allow", action="append", default=[], metavar="A,B", help="two bodies or geoms that may touch, such as cube,table"
     )
-    parser.add_argument("--controller", default="computed-torque", help=f"{common.CONTROLLERS_HELP} (default %(default)s)")
+    parser.add_argument("--controller", default="computed-torque", help="one of those below (default %(default)s)")
+    common.list_controllers(parser)
     parser.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     parser.add_argument("--video-speed", metavar="X", default="1", help="speed of the film; 0.5 is slow motion (default 1)")
     common.add_speed(parser)

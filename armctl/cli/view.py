@@ -28,10 +28,9 @@ def add(commands: common.Commands) -> None:
     parser = common.add_command(commands, "view", run, "drag a target in the browser; the arm follows it")
     common.add_arm(parser, several_scenes=True)
     parser.add_argument(
-        "--controller",
-        default="computed-torque",
-        help=f"the first controller, of {common.CONTROLLERS_HELP} (default %(default)s)",
+        "--controller", default="computed-torque", help="the first controller, one of those below (default %(default)s)"
     )
+    common.list_controllers(parser)
     parser.add_argument(
         "--port", type=int, default=8080, help="port of the page; the next free one if it is in use (default 8080)"
     )

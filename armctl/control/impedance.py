@@ -13,12 +13,10 @@ from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain, tip_bou
 from armctl.control.gains import MAX_BANDWIDTH, gain, sample_configurations
 from armctl.control.interface import ArmController, State
 from armctl.control.task_space import POSE_SIZE, consistent_inverse
+from armctl.core.defaults import IMPEDANCE_BANDWIDTH
 from armctl.core.validation import Array, frozen, number, vector
 from armctl.model.arm.arm import Arm
 from armctl.model.arm.dynamics import Dynamics
-
-# rad/s. Springs of tip and posture together then have a delay margin of 2.5 control periods at 4 ms.
-IMPEDANCE_BANDWIDTH = 40.0
 
 
 class Impedance(ArmController):

@@ -1,6 +1,8 @@
 """Numbers that several modules share. Those that the compiled core needs, too, are its own: `armctl._core` has them."""
 
 DEFAULT_BANDWIDTH = 30.0  # rad/s, of controllers that compensate the inertia
+# rad/s. Springs of tip and posture together then have a delay margin of 2.5 control periods at 4 ms.
+IMPEDANCE_BANDWIDTH = 40.0
 MIN_DELAY_MARGIN_S = 5e-3  # of default gains
 MAX_PEAK_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
 SETTLE_TIMEOUT_S = 1.0  # for an arm or a gripper to come to rest

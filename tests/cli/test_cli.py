@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +15,6 @@ from commands import armctl_command
 from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
 
 import armctl
-from armctl.cli.common import CONTROLLER_NAMES
 from armctl.cli.main import main, with_options
 from armctl.control import CONTROLLERS
 from armctl.core.tables import TERMINAL_COLUMNS, Table, folded
@@ -79,8 +79,28 @@ def test_tables_and_long_lines_fit_a_terminal_and_lose_no_word():
     assert all(len(each) <= 40 and each.startswith("  ") for each in folded(line, 40).splitlines())
 
 
-def test_the_help_lists_all_controllers():
-    assert tuple(CONTROLLERS) == CONTROLLER_NAMES
+def listed_controllers(capsys, command: str) -> list[str]:
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    _, _, listed = capsys.readouterr().out.partition("controllers:\n")
+    return [line.split()[0] for line in listed.splitlines()]
+
+
+def test_the_help_lists_all_controllers(capsys):
+    for command in ("reach", "compare", "iso9283", "margins", "view"):
+        assert listed_controllers(capsys, command) == list(CONTROLLERS)
+
+
+def test_the_help_of_tune_lists_those_that_it_takes(capsys):
+    arm = armctl.load(BUNDLED)
+    listed = listed_controllers(capsys, "tune")
+    assert "pd-gravity" in listed
+    for name in CONTROLLERS:
+        if name in listed:
+            assert armctl.tune(arm, name, configurations=1).controller.name == name
+        else:
+            with pytest.raises(armctl.UnknownNameError):
+                armctl.tune(arm, name, configurations=1)
 
 
 def test_messages_name_options_and_not_arguments_of_python():
@@ -166,7 +186,7 @@ def test_reach_goes_around_what_stands_in_the_cell_and_refuses_what_it_cannot_re
 
 
 def test_a_controller_that_sags_exits_1(capsys, monkeypatch):
-    monkeypatch.setitem(CONTROLLERS, "pd", lambda arm: armctl.PD(arm, bandwidth=10.0))
+    monkeypatch.setitem(CONTROLLERS, "pd", replace(CONTROLLERS["pd"], arguments={"bandwidth": 10.0}))
     status, out, _ = run(capsys, "reach", BUNDLED, "--controller", "pd")
     assert status == 1
     assert out.startswith("not reached")

@@ -4,32 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from armctl.control import CONTROLLERS
-from armctl.control.gains import margin_gains
-from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.interface import Controller
-from armctl.control.lqr import LQR
-from armctl.control.observer_gains import feedback_estimate, observer_gains
-from armctl.core.defaults import DEFAULT_BANDWIDTH
+from armctl.core.errors import UnknownNameError
 from armctl.core.validation import Array, frozen
 from armctl.model.arm.arm import Arm
 
-PD_LAWS = ("pd", "pd-feedforward", "pd-gravity")
-_BANDWIDTH_LAWS = {
-    "computed-torque": DEFAULT_BANDWIDTH,
-    "operational-space": DEFAULT_BANDWIDTH,
-    "impedance": IMPEDANCE_BANDWIDTH,
-    "qp": DEFAULT_BANDWIDTH,
-    "mpc": DEFAULT_BANDWIDTH,
-}
-_OBSERVER_LAWS = ("computed-torque-observer", "computed-torque-learning")
-LAWS = (*PD_LAWS, *_BANDWIDTH_LAWS, *_OBSERVER_LAWS, "lqr")
 _LIMIT = np.log(1e4)  # of the factors on the default gains
 _LIMITS = {"damping_ratio": np.log((0.5, 2.0))}  # logarithms, of laws with a model: their errors must not oscillate
-_GROWTH = {"damping_ratio": 0.0, "integral_time": -1.0}  # with the bandwidth, as exponents; all others grow in proportion
+# With the bandwidth, as exponents; all others grow in proportion.
+_GROWTH = {"stiffness": 2.0, "damping_ratio": 0.0, "integral_time": -1.0}
+_SOFTENED = ("stiffness", "observer_bandwidth")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +26,7 @@ class GainFamily:
     """The gains of a law as a function of x, the logarithms of factors on its default gains."""
 
     size: int  # of x
+    is_joint_by_joint: bool  # whether each joint has gains of its own
     joints: tuple[tuple[int, ...], ...]  # the elements of x that belong to each joint, or to all joints together
     limits: Array  # (size, 2) bounds of x
     softened: Sequence[int]  # the elements of x that may be smaller in a design's start
@@ -49,44 +39,48 @@ class GainFamily:
 
 
 def gain_family(arm: Arm, law: str, dt: float) -> GainFamily:
-    """The gains of a law, one of `LAWS`, on an arm with a control period dt, s."""
-    make: Callable[..., Controller] = CONTROLLERS[law]
-    if law in PD_LAWS:
-        default = margin_gains(arm, dt)
-        n = arm.n
+    """The gains of a tunable law, a name of `CONTROLLERS`, on an arm with a control period dt, s."""
+    row = CONTROLLERS[law]
+    if row.tunable_gains is None:
+        raise UnknownNameError.of("law", law, tunable_laws())
+    defaults = row.tunable_gains(arm, dt)
+    slices: dict[str, slice] = {}
+    size = 0
+    for name, value in defaults.items():
+        slices[name] = slice(size, size + np.size(value))
+        size = slices[name].stop
 
-        def pd(x: Array) -> dict[str, float | Array]:
-            return {
-                "stiffness": frozen(default.stiffness * np.exp(x[:n])),
-                "damping": frozen(default.damping * np.exp(x[n:])),
-            }
+    def gains(x: Array) -> dict[str, float | Array]:
+        return {name: _scaled(value, x[slices[name]]) for name, value in defaults.items()}
 
-        joints = tuple((i, n + i) for i in range(n))
-        free = np.tile([-_LIMIT, _LIMIT], (2 * n, 1))
-        return GainFamily(2 * n, joints, free, range(n), np.repeat([2.0, 1.0], n), pd, lambda **gains: make(arm, **gains))
-    defaults = _default_gains(arm, law, dt)
-
-    def scalars(x: Array) -> dict[str, float | Array]:
-        return {name: value * float(np.exp(each)) for (name, value), each in zip(defaults.items(), x, strict=True)}
-
-    indices = range(len(defaults))
-    limits = [_LIMITS[name] - np.log(value) if name in _LIMITS else (-_LIMIT, _LIMIT) for name, value in defaults.items()]
-    softened = [i for i, name in enumerate(defaults) if law in _OBSERVER_LAWS and name == "observer_bandwidth"]
-    growth = np.array([_GROWTH.get(name, 1.0) for name in defaults])
+    limits = np.empty((size, 2))
+    scaling = np.empty(size)
+    for name, value in defaults.items():
+        limits[slices[name]] = _LIMITS[name] - np.log(value) if name in _LIMITS else (-_LIMIT, _LIMIT)
+        scaling[slices[name]] = _GROWTH.get(name, 1.0)
+    indices = np.arange(size)
+    softened = np.concatenate([indices[slices[name]] for name in defaults if name in _SOFTENED] or [indices[:0]])
+    is_joint_by_joint = any(np.ndim(value) for value in defaults.values())
+    joints = indices.reshape(-1, arm.n).T if is_joint_by_joint else indices[None]
     return GainFamily(
-        len(defaults), (tuple(indices),), np.array(limits), softened, growth, scalars, lambda **gains: make(arm, **gains)
+        size=size,
+        is_joint_by_joint=is_joint_by_joint,
+        joints=tuple(map(tuple, joints.tolist())),
+        limits=limits,
+        softened=softened.tolist(),
+        scaling=scaling,
+        gains=gains,
+        make=partial(row, arm),
     )
 
 
-def _default_gains(arm: Arm, law: str, dt: float) -> dict[str, float]:
-    """The gains of a law without gains for each joint."""
-    if law == "lqr":
-        return LQR(arm).effective_gains(dt)
-    if law in _OBSERVER_LAWS:
-        found = observer_gains(arm, dt)
-        return {"bandwidth": found.feedback, "damping_ratio": found.damping_ratio, "observer_bandwidth": found.disturbance}
-    bandwidth = _BANDWIDTH_LAWS[law]
-    gains = {"bandwidth": bandwidth, "damping_ratio": 1.0}
-    if law == "computed-torque":
-        gains["estimate_bandwidth"] = feedback_estimate(arm, dt, bandwidth)
-    return gains
+def tunable_laws() -> list[str]:
+    """The names of the controllers that `tune` takes."""
+    return [name for name, row in CONTROLLERS.items() if row.tunable_gains is not None]
+
+
+def _scaled(value: float | Array, x: Array) -> float | Array:
+    """A gain times exp(x)."""
+    if isinstance(value, np.ndarray):
+        return frozen(value * np.exp(x))
+    return value * float(np.exp(x[0]))

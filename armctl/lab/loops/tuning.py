@@ -19,7 +19,7 @@ from armctl.core.defaults import MAX_PEAK_SENSITIVITY, MIN_DAMPING_RATIO, MIN_DE
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, number, shown
-from armctl.lab.loops.gain_family import LAWS, PD_LAWS, GainFamily, gain_family
+from armctl.lab.loops.gain_family import GainFamily, gain_family, tunable_laws
 from armctl.lab.loops.linearization import Linearizer
 from armctl.lab.loops.loop import Loop, Mode, coarse_margins_around, coarse_margins_with, coarse_plant
 from armctl.lab.loops.margins import judged_configurations, search_starts, worst_loops
@@ -161,8 +161,8 @@ def tune(
         UnknownNameError: There is no such law.
     """
     check_arm(arm)
-    if not isinstance(law, str) or law not in LAWS:
-        raise UnknownNameError.of("law", law, LAWS)
+    if not isinstance(law, str) or law not in tunable_laws():
+        raise UnknownNameError.of("law", law, tunable_laws())
     if not isinstance(plants, Sequence):
         raise InputError(f"plants: expected a list of plants, such as [armctl.Plant(payload=1.0)], got {shown(plants)}")
     bounds = _Bounds(
@@ -174,10 +174,11 @@ def tune(
     periods = {arm.dt if plant.timestep is None else plant.timestep for plant in checked}
     if len(periods) > 1:
         raise InputError(f"plants: expected one control period, got {sorted(periods)} s; gains are tuned for one")
-    design_configurations = _DESIGN_CONFIGURATIONS if law in PD_LAWS else _DESIGN_CONFIGURATIONS_WITH_MODEL
     default = controller_by_name(law, arm)
-    judge = _Judge([Linearizer(arm, plant) for plant in checked], configurations, design_configurations, bounds, default)
     family = gain_family(arm, law, periods.pop())
+    # A law whose gains are those of the joints does not know how the inertia matrix varies.
+    design_configurations = _DESIGN_CONFIGURATIONS if family.is_joint_by_joint else _DESIGN_CONFIGURATIONS_WITH_MODEL
+    judge = _Judge([Linearizer(arm, plant) for plant in checked], configurations, design_configurations, bounds, default)
     before = judge.before
     x = judge.design.start(family)
     loops: list[Loop] = []
