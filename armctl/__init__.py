@@ -17,11 +17,9 @@ __version__ = "0.1.0"
 # Names that other libraries use.
 _OTHER_NAMES = {
     "inverse_kinematics": "solve_ik",
-    "plan": "move_free",
     "plan_path": "move_free",
     "PID": "ComputedTorqueObserver",
     "Sim": "Simulation",
-    "view": "Simulation(viewer=True)",
 }
 
 _public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

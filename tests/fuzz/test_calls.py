@@ -385,7 +385,7 @@ def targets(objects: dict[str, object]) -> list[Target]:
                 if member.startswith("_") or not bound or (issubclass(value, tuple) and member in ("count", "index")):
                     continue
                 function = getattr(value, member)
-                if callable(function) and not getattr(function, "__module__", "").startswith("gymnasium"):
+                if callable(function) and not (getattr(function, "__module__", "") or "").startswith("gymnasium"):
                     add(f"{prefix}{name}.{member}", getattr(owner, member))
             if isinstance(owner, armctl.CompiledController):
                 settable = [key for key in dir(value) if getattr(inspect.getattr_static(value, key), "fset", None)]

@@ -185,7 +185,7 @@ Motors motors_of(Given& given, bool are_read) {
             .gear = gear[i],
         });
     }
-    if (given.has("spring_qpos_addresses")) {
+    if (given.has("spring_qpos_addresses", "spring_dof_addresses")) {
         const Integers spring_qpos = given.integers(n, "spring_qpos_addresses");
         const Integers spring_dof = given.integers(n, "spring_dof_addresses");
         for (size_t i = 0; i < motors.size(); ++i) {
@@ -193,7 +193,7 @@ Motors motors_of(Given& given, bool are_read) {
             motors[i].spring_dof = address(spring_dof[i]);
         }
     }
-    if (given.has("rotor_qpos_addresses")) {
+    if (given.has("rotor_qpos_addresses", "rotor_dof_addresses")) {
         const Integers rotor_qpos = given.integers(n, "rotor_qpos_addresses");
         const Integers rotor_dof = given.integers(n, "rotor_dof_addresses");
         for (size_t i = 0; i < motors.size(); ++i) {
