@@ -5,6 +5,7 @@ refuses the others. Gains are also assigned, and then the controller runs.
 """
 
 import copy
+import enum
 import inspect
 import json
 import math
@@ -375,7 +376,8 @@ def targets(objects: dict[str, object]) -> list[Target]:
             if not inspect.isclass(value):
                 add(prefix + name, value)
                 continue
-            if issubclass(value, Exception) or typing.is_typeddict(value):  # the options of a call are checked by the call
+            # The options of a call and the words of an enumeration are checked by the call.
+            if issubclass(value, Exception | enum.Enum) or typing.is_typeddict(value):
                 continue
             add(prefix + name, value)
             owner = objects.get(prefix + name, value)
