@@ -2,8 +2,8 @@
 The compiled core of armctl. It computes; the Python modules that use it check and explain.
 """
 
-import enum
 from collections.abc import Sequence
+import enum
 
 import numpy
 from numpy.typing import NDArray
