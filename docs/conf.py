@@ -159,6 +159,8 @@ def warn_of_gaps(app, env):
 def setup(app):
     here = Path(__file__).parent
     (here / "reference").mkdir(exist_ok=True)
+    for old in (here / "reference").glob("*.md"):  # of packages that are gone
+        old.unlink()
     for path, text in reference().items():
         (here / path).write_text(text, encoding="utf-8")
     app.connect("autodoc-skip-member", skip_fields_of_named_tuples)
