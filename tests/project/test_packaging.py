@@ -66,6 +66,7 @@ def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothi
     assert names == modules | models | {
         "armctl/__init__.pyi",
         "armctl/_core.pyi",
+        "armctl/gym/__init__.pyi",
         "armctl/run/links/__init__.pyi",
         "armctl/py.typed",
         "armctl/view/devices.js",
