@@ -49,7 +49,7 @@ from .core.result import MoveResult as MoveResult
 from .core.target import Target as Target
 from .core.trajectory import Setpoint as Setpoint
 from .core.trajectory import Trajectory as Trajectory
-from .gym import jax as jax
+from .envs import jax as jax
 from .lab.comparison import compare as compare
 from .lab.comparison import out_and_back as out_and_back
 from .lab.diagnose import Diagnosis as Diagnosis

@@ -15,7 +15,7 @@ from envs_peers import PEERS, steps_per_cpu_second
 from markdown_table import markdown_table
 
 import armctl
-import armctl.gym
+import armctl.envs
 
 ROBOT = "panda"
 COUNT = 256
@@ -32,7 +32,7 @@ def random_actions(steps: int, *shape: int) -> np.ndarray:
 
 def batch(arm: armctl.Arm, action: str, steps: int, **options) -> tuple[float, np.ndarray]:
     """Steps per CPU second, and the observations (steps, COUNT, k)."""
-    env = armctl.gym.ArmVectorEnv(arm, action=action, num_envs=COUNT, **options)
+    env = armctl.envs.ArmVectorEnv(arm, action=action, num_envs=COUNT, **options)
     env.reset(seed=SEED)
     actions = random_actions(steps, *env.action_space.shape)
     start = time.process_time()
@@ -43,7 +43,7 @@ def batch(arm: armctl.Arm, action: str, steps: int, **options) -> tuple[float, n
 
 def single(arm: armctl.Arm, action: str, steps: int, observed: np.ndarray) -> float:
     """Steps per CPU second, which must repeat what a row of a batch observed."""
-    env = armctl.gym.ArmEnv(arm, action=action)
+    env = armctl.envs.ArmEnv(arm, action=action)
     env.reset(seed=SEED + CHECKED)
     actions = random_actions(len(observed), COUNT, *env.action_space.shape)[:, CHECKED]
     for k in range(min(len(observed), env.batch.horizon - 1)):

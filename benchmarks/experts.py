@@ -15,7 +15,7 @@ import numpy as np
 from markdown_table import markdown_table
 
 import armctl
-import armctl.gym
+import armctl.envs
 
 ROBOTS = ("panda", "ur5e+robotiq_2f85", "xarm7", "gen3+robotiq_2f85", "so_arm100", "robot_arm_3dof")
 ROBOT_OF_ALL_ACTIONS = "panda"
@@ -29,11 +29,11 @@ def solved(robot: str, task: str, action: str, episodes: int) -> list[str]:
     name, _, tool = robot.partition("+")
     try:
         options = {"tool": tool} if tool else None
-        env = armctl.gym.ArmVectorEnv(name, task, action, num_envs=episodes, load_options=options)
+        env = armctl.envs.ArmVectorEnv(name, task, action, num_envs=episodes, load_options=options)
     except armctl.InputError as error:
         return [robot, task, action, "does not fit", str(error).partition(": ")[2].partition(";")[0], ""]
     start = time.process_time()
-    policy = armctl.gym.ExpertPolicy(env)
+    policy = armctl.envs.ExpertPolicy(env)
     env.reset(seed=0)
     horizon = env.batch.horizon
     success = np.zeros((horizon, episodes), bool)

@@ -313,7 +313,7 @@ def move_free(clock: Clock, calls: int) -> Callable[[], None]:
 
 def vector_environment(clock: Clock, calls: int) -> Callable[[], None]:
     """A call is a step of 64 environments of `Reach`, 25 control periods each."""
-    from armctl.gym import ArmVectorEnv
+    from armctl.envs import ArmVectorEnv
 
     arm = armctl.load("panda")
     env = ArmVectorEnv(arm, num_envs=64)

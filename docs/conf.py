@@ -9,7 +9,7 @@ from pathlib import Path
 from sphinx.util import logging
 
 import armctl
-import armctl.gym
+import armctl.envs
 
 project = "armctl"
 author = "the armctl authors"
@@ -62,10 +62,10 @@ CHAPTERS = {
     "lab.study": "Studies",
     "lab": "Comparisons and checks",
     "view": "The viewer",
-    "gym": "Reinforcement learning",
-    "gym.jax": "Pure functions for JAX",
+    "envs": "Reinforcement learning",
+    "envs.jax": "Pure functions for JAX",
 }
-MODULES = {"links": armctl.links, "gym": armctl.gym, "jax": armctl.jax}  # with public names of their own
+MODULES = {"links": armctl.links, "envs": armctl.envs, "jax": armctl.jax}  # with public names of their own
 
 
 def public_names() -> list[str]:

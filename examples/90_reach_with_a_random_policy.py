@@ -7,7 +7,7 @@ import armctl
 
 arm = armctl.load("robot_arm_3dof")
 envs = gymnasium.make_vec(
-    "armctl.gym:armctl/Reach-v0",
+    "armctl.envs:armctl/Reach-v0",
     num_envs=200,
     robot=arm,
     action="joint_target",

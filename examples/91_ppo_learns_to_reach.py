@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from armctl.gym import ArmEnv, ArmVectorEnv
+from armctl.envs import ArmEnv, ArmVectorEnv
 
 try:
     import torch

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-import armctl.gym
+import armctl.envs
 
-env = armctl.gym.ArmEnv("robot_arm_3dof", "ReachPast", "joint_target", render_mode="rgb_array", width=96, height=96)
+env = armctl.envs.ArmEnv("robot_arm_3dof", "ReachPast", "joint_target", render_mode="rgb_array", width=96, height=96)
 
-policy = armctl.gym.ExpertPolicy(env)
+policy = armctl.envs.ExpertPolicy(env)
 env.reset(seed=0)
 success = [env.step(policy())[4]["is_success"] for _ in range(env.batch.horizon)]
 print(f"the expert is at the goal after {(1 + success.index(True)) * env.batch.step_time:.2f} s")
 
 with tempfile.TemporaryDirectory() as folder:
     dataset = Path(folder) / "reach_past"
-    print(armctl.gym.save_demonstrations(env, dataset, episodes=3, seed=1))
+    print(armctl.envs.save_demonstrations(env, dataset, episodes=3, seed=1))
     info = json.loads((dataset / "meta/info.json").read_text())
     rows = pq.read_table(dataset / "data/chunk-000/file-000.parquet")
     film = dataset / "videos/observation.images.front/chunk-000/file-000.mp4"

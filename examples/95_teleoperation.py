@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-import armctl.gym
+import armctl.envs
 
-env = armctl.gym.ArmEnv("robot_arm_3dof", "Reach", "cartesian_delta", render_mode="rgb_array", width=96, height=96)
+env = armctl.envs.ArmEnv("robot_arm_3dof", "Reach", "cartesian_delta", render_mode="rgb_array", width=96, height=96)
 columns = env.batch.observer.columns
 hand = np.random.default_rng(0)
 seen = []
@@ -22,7 +22,7 @@ def joystick(observation: np.ndarray) -> np.ndarray:
 
 with tempfile.TemporaryDirectory() as folder:
     dataset = Path(folder) / "teleoperation"
-    print(armctl.gym.save_demonstrations(env, dataset, episodes=3, seed=1, policy=joystick))
+    print(armctl.envs.save_demonstrations(env, dataset, episodes=3, seed=1, policy=joystick))
     rows = pq.read_table(dataset / "data/chunk-000/file-000.parquet").to_pandas()
 sim = armctl.Simulation("robot_arm_3dof")
 for episode, frames in rows.groupby("episode_index"):

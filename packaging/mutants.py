@@ -53,8 +53,8 @@ CXX = "cpp"
 # Tests of a subpackage such as plan/ik beside tests/SUBPACKAGE: it is checked where it is used.
 MORE_TESTS = {"control": ["run/sim"], "model/arm": ["control", "plan/motion"]}
 # The tests that judge the core.
-CXX_TESTS = ["core", "model/arm", "model/collision", "control", "plan", "run/sim", "gym"]
-DEFAULT = ["control", "model/arm", "plan/ik", "plan/motion", "model/collision", "lab", "gym", CXX]
+CXX_TESTS = ["core", "model/arm", "model/collision", "control", "plan", "run/sim", "envs"]
+DEFAULT = ["control", "model/arm", "plan/ik", "plan/motion", "model/collision", "lab", "envs", CXX]
 Record = dict[str, dict[str, Any]]
 
 

@@ -33,7 +33,7 @@ from arms import arm_of
 from synthetic import Shape, arm_with_gripper, serial_arm
 
 import armctl
-import armctl.gym
+import armctl.envs
 
 MAX_OTHER_ERRORS_SHARE = 0.001
 MAX_MESSAGE_CHARACTERS = 400
@@ -57,7 +57,7 @@ SLOW = {
     "JointTrajectory.plot",
     "envs.save_demonstrations",
 }
-PACKAGES = {"": armctl, "envs.": armctl.gym, "jax.": armctl.jax, "links.": armctl.links}
+PACKAGES = {"": armctl, "envs.": armctl.envs, "jax.": armctl.jax, "links.": armctl.links}
 # Given in every call: their defaults take long or open a page.
 ALWAYS_GIVEN = {"threads", "width", "height", "viewer"}
 
@@ -106,8 +106,8 @@ def costly_results() -> dict[str, object]:
 def world() -> dict[str, object]:
     """One object of every public class with methods, by the name of the class."""
     arm = arm_of("robot_arm_3dof")
-    env = armctl.gym.ArmEnv(arm, action="joint_delta")
-    envs = armctl.gym.ArmVectorEnv(arm, action="joint_delta", num_envs=2)
+    env = armctl.envs.ArmEnv(arm, action="joint_delta")
+    envs = armctl.envs.ArmVectorEnv(arm, action="joint_delta", num_envs=2)
     env.reset(seed=0)
     envs.reset(seed=0)
     with TemporaryDirectory() as folder:
@@ -171,7 +171,7 @@ def world() -> dict[str, object]:
         "TorqueRateLimit": armctl.TorqueRateLimit(arm, armctl.PD(arm), 100.0),
         "envs.ArmEnv": env,
         "envs.ArmVectorEnv": envs,
-        "envs.ExpertPolicy": armctl.gym.ExpertPolicy(env),
+        "envs.ExpertPolicy": armctl.envs.ExpertPolicy(env),
         "jax.ArmModel": armctl.jax.arm_model(arm),
         "jax.PDGains": armctl.jax.PDGains.from_controller(armctl.PD(arm), arm.dt),
         "jax.ComputedTorqueGains": armctl.jax.ComputedTorqueGains.from_controller(armctl.ComputedTorque(arm), arm.dt),

@@ -35,7 +35,7 @@ def follow(case: SimpleNamespace) -> None:
 
 
 def episode(case: SimpleNamespace) -> None:
-    env = gymnasium.make("armctl.gym:armctl/Reach-v0", robot=case.arm)
+    env = gymnasium.make("armctl.envs:armctl/Reach-v0", robot=case.arm)
     env.reset(seed=1)
     env.step(env.action_space.sample())
     env.close()

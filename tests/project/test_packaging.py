@@ -66,7 +66,7 @@ def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothi
     assert names == modules | models | {
         "armctl/__init__.pyi",
         "armctl/_core.pyi",
-        "armctl/gym/__init__.pyi",
+        "armctl/envs/__init__.pyi",
         "armctl/run/links/__init__.pyi",
         "armctl/py.typed",
         "armctl/view/devices.js",
@@ -104,7 +104,7 @@ def declared() -> set[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     lines = [*project["dependencies"]]
-    for extra in ("view", "design", "study", "ros", "gym", "jax"):
+    for extra in ("view", "design", "study", "ros", "envs", "jax"):
         lines += extras[extra]
     return {re.split(r"[<>=\[]", line)[0] for line in lines}
 

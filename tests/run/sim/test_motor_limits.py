@@ -96,7 +96,7 @@ def test_environments_obey_the_limits_of_a_weakened_arm(load):
     arm = load(TURNTABLE, motors("a") + '<option timestep="0.001"/>')
     weak = limited(arm, 2.5)
     pytest.importorskip("gymnasium", reason="pip install -e '.[envs]'")
-    from armctl.gym import ArmVectorEnv
+    from armctl.envs import ArmVectorEnv
 
     env = ArmVectorEnv(weak, "Track", "joint_delta", 2, ticks=20, contacts=False, randomize={"delay": armctl.Range(0, 2)})
     env.reset(seed=1)

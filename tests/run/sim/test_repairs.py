@@ -83,7 +83,7 @@ def test_the_counts_are_those_of_mujoco(arm):
 @pytest.mark.parametrize("count", [1, 3])
 def test_an_environment_says_what_mujoco_repaired(quiet_folder, bundled, count):
     pytest.importorskip("gymnasium", reason="pip install -e '.[envs]'")
-    from armctl.gym import ArmVectorEnv
+    from armctl.envs import ArmVectorEnv
 
     env = ArmVectorEnv(bundled, num_envs=count)
     env.reset(seed=0)

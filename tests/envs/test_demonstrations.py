@@ -1,0 +1,188 @@
+"""Demonstrations: the data set of an expert has the structure of LeRobotDataset v3.0 and the rows of the episodes."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("av", reason="pip install -e '.[view]'")
+pytest.importorskip("pandas", reason="pip install -e '.[study]'")
+pytest.importorskip("pyarrow", reason="pip install -e '.[study]'")
+
+import av
+import pandas as pd
+import pyarrow.parquet as pq
+
+import armctl
+import armctl.envs
+from armctl.envs.lerobot import CAMERA, Feature, LeRobotWriter
+
+SEED = 3
+EPISODES = 2
+INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = armctl.envs.ArmEnv("robot_arm_3dof", "ReachPast", "joint_target", render_mode="rgb_array", width=64, height=48)
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def dataset(env, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data") / "reach_past"
+    result = armctl.envs.save_demonstrations(env, folder, EPISODES, seed=SEED)
+    assert result
+    assert (result.episodes, result.failures) == (EPISODES, 0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def info(dataset):
+    return json.loads((dataset / "meta/info.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def rows(dataset):
+    return pq.read_table(dataset / "data/chunk-000/file-000.parquet")
+
+
+def test_the_rows_are_those_of_the_episodes(env, rows, info):
+    policy = armctl.envs.ExpertPolicy(env)
+    states = np.array(rows["observation.state"].to_pylist(), np.float32)
+    actions = np.array(rows["action"].to_pylist(), np.float32)
+    at = 0
+    for episode in range(EPISODES):
+        observation, _ = env.reset(seed=SEED + episode)
+        frame = 0
+        while at < len(states) and rows["episode_index"][at].as_py() == episode:
+            action = policy()
+            assert np.array_equal(states[at], observation)
+            assert np.array_equal(actions[at], action)
+            observation, reward, _, _, information = env.step(action)
+            assert rows["next.reward"][at].as_py() == pytest.approx(reward)
+            assert rows["next.success"][at].as_py() == information["is_success"]
+            assert [rows[name][at].as_py() for name in INDICES] == pytest.approx([frame / info["fps"], frame, episode, at, 0])
+            frame += 1
+            at += 1
+        assert rows["next.done"][at - 1].as_py()
+        assert rows["next.success"][at - 1].as_py()
+    assert at == len(states) == info["total_frames"]
+
+
+def test_the_structure_is_that_of_the_format(dataset, info, rows):
+    files = {str(path.relative_to(dataset)) for path in dataset.rglob("*") if path.is_file()}
+    assert files == {
+        "data/chunk-000/file-000.parquet",
+        "meta/episodes/chunk-000/file-000.parquet",
+        "meta/info.json",
+        "meta/stats.json",
+        "meta/tasks.parquet",
+        f"videos/{CAMERA}/chunk-000/file-000.mp4",
+    }
+    assert info["codebase_version"] == "v3.0"
+    assert info["fps"] == 20
+    assert info["splits"] == {"train": f"0:{EPISODES}"}
+    assert info["data_path"].format(chunk_index=0, file_index=0) in files
+    assert info["video_path"].format(video_key=CAMERA, chunk_index=0, file_index=0) in files
+    assert set(info["features"]) == {*rows.column_names, CAMERA}
+    for name in rows.column_names:
+        feature = info["features"][name]
+        assert feature["shape"] == [len(feature["names"]) if feature["names"] else 1]
+        kind = rows.schema.field(name).type
+        kind, size = (kind.value_type, kind.list_size) if hasattr(kind, "list_size") else (kind, 1)
+        assert ({"float": "float32"}.get(str(kind), str(kind)), [size]) == (feature["dtype"], feature["shape"])
+    tasks = pd.read_parquet(dataset / "meta/tasks.parquet")
+    assert tasks.loc["Move the tip to the target without touching the obstacle."].task_index == 0
+
+
+def test_episodes_and_statistics_describe_the_rows(dataset, rows):
+    episodes = pq.read_table(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    states = np.array(rows["observation.state"].to_pylist())
+    statistics = json.loads((dataset / "meta/stats.json").read_text())
+    assert [each["dataset_to_index"] for each in episodes] == [episodes[1]["dataset_from_index"], len(rows)]
+    for each in episodes:
+        own = states[each["dataset_from_index"] : each["dataset_to_index"]]
+        assert len(own) == each["length"]
+        assert each["stats/observation.state/mean"] == pytest.approx(own.mean(axis=0), abs=1e-6)
+        assert each["stats/observation.state/count"] == [len(own)]
+        duration = each[f"videos/{CAMERA}/to_timestamp"] - each[f"videos/{CAMERA}/from_timestamp"]
+        assert duration == pytest.approx(len(own) / 20)
+    for what, expected in (("mean", states.mean(axis=0)), ("std", states.std(axis=0)), ("max", states.max(axis=0))):
+        assert statistics["observation.state"][what] == pytest.approx(expected, abs=1e-6)
+    medians = [np.median(states[each["dataset_from_index"] : each["dataset_to_index"]], axis=0) for each in episodes]
+    expected = np.average(medians, axis=0, weights=[each["length"] for each in episodes])
+    assert statistics["observation.state"]["q50"] == pytest.approx(expected, abs=1e-6)
+    assert np.shape(statistics[CAMERA]["q99"]) == (3, 1, 1)
+    assert np.shape(statistics[CAMERA]["mean"]) == (3, 1, 1)
+    assert 0.0 < np.mean(statistics[CAMERA]["mean"]) < 1.0
+
+
+def test_the_film_has_a_picture_for_each_row(dataset, env, rows):
+    with av.open(dataset / f"videos/{CAMERA}/chunk-000/file-000.mp4") as film:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+        rate = film.streams.video[0].average_rate
+    assert (len(pictures), rate) == (len(rows), 20)
+    env.reset(seed=SEED)
+    first = env.render()
+    assert first.shape == (48, 64, 3)
+    assert np.abs(pictures[0].astype(float) - first).mean() < 12.0
+    assert np.abs(pictures[0].astype(float) - pictures[-1]).mean() > 0.5
+
+
+def test_files_are_numbered_when_they_are_full(tmp_path, monkeypatch):
+    monkeypatch.setattr("armctl.envs.lerobot._DATA_FILE_MB", 0)
+    writer = LeRobotWriter(
+        tmp_path, frames_per_second=20, robot="arm", features={"action": Feature("float32", ["a"])}, size=None
+    )
+    for k in range(2):
+        writer.add("wave", {"action": np.full((3, 1), k, np.float32)})
+    writer.finish()
+    episodes = pq.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [each["data/file_index"] for each in episodes] == [0, 1]
+    second = pq.read_table(tmp_path / "data/chunk-000/file-001.parquet")
+    assert second["index"].to_pylist() == [3, 4, 5]
+    assert second["action"].to_pylist() == [1.0, 1.0, 1.0]  # lerobot reads lists of one as numbers
+    assert json.loads((tmp_path / "meta/info.json").read_text())["video_path"] is None
+
+
+def test_the_actions_of_a_policy_are_recorded_and_their_replay_ends_in_the_same_state(tmp_path):
+    env = armctl.envs.ArmEnv("robot_arm_3dof", "Reach", "cartesian_delta")
+    to_goal = env.batch.observer.columns["to_goal"]
+    seen = []
+
+    def policy(observation):
+        seen.append(observation)
+        return np.clip(6.0 * observation[to_goal].astype(float), -1.0, 1.0)
+
+    result = armctl.envs.save_demonstrations(env, tmp_path / "data", 1, seed=5, policy=policy)
+    assert result, result.reason
+    rows = pq.read_table(tmp_path / "data/data/chunk-000/file-000.parquet")
+    assert np.array_equal(np.array(rows["observation.state"].to_pylist(), np.float32), np.array(seen))
+    observation, _ = env.reset(seed=5)
+    successes = []
+    for action, expected in zip(rows["action"].to_pylist(), seen, strict=True):
+        assert np.array_equal(observation, expected)
+        observation, _, _, _, information = env.step(np.array(action, np.float32))
+        successes.append(information["is_success"])
+    assert successes == rows["next.success"].to_pylist()
+    assert successes[-1]
+    with pytest.raises(armctl.InputError, match="policy: expected a function of an observation, got 'joystick'"):
+        armctl.envs.save_demonstrations(env, tmp_path / "more", 1, policy="joystick")
+
+
+def test_wrong_calls_leave_nothing_behind(env, tmp_path, monkeypatch):
+    with pytest.raises(armctl.InputError, match="exists already"):
+        armctl.envs.save_demonstrations(env, tmp_path, 1)
+    with pytest.raises(armctl.InputError, match="no single environment"):
+        armctl.envs.save_demonstrations(armctl.envs.ArmVectorEnv("robot_arm_3dof"), tmp_path / "data", 1)
+    odd = armctl.envs.ArmEnv("robot_arm_3dof", action="joint_target", ticks=7)
+    with pytest.raises(armctl.InputError, match="whole number"):
+        armctl.envs.save_demonstrations(odd, tmp_path / "data", 1)
+    monkeypatch.setattr("armctl.envs.demonstrations._MAX_FAILURES", 2)
+    hopeless = armctl.envs.ArmEnv("robot_arm_3dof", "ReachPast", "joint_target", horizon=1)
+    result = armctl.envs.save_demonstrations(hopeless, tmp_path / "data", 1)
+    assert not result
+    assert "failed" in result.reason
+    assert not list(tmp_path.iterdir())
