@@ -191,6 +191,7 @@ class _StepRecording:
         self._rows: TickRows | None = None
         self._q = np.zeros((0, 0))
         self._rates = np.zeros((0, 0))
+        self._held: Array | None = None  # (n,) rad, where the rows hold that have not been run
 
     def next_rows(self, controller: Controller, holds: bool) -> TickRows:
         """Rows whose next one has a reference: the last one if the controller holds it, else NaN."""
@@ -200,8 +201,14 @@ class _StepRecording:
             self._rates = np.empty((_STEP_ROWS, self._stepper.n))
             rows = self.recorder.begin(TickReference(self._q, self._rates, self._rates, self._rates, self._rates))
             self._rows = rows
-        self._q[rows.count] = self._stepper.q_ref if holds else np.nan
-        self._rates[rows.count] = 0.0 if holds else np.nan
+            self._held = None
+        if not holds:
+            self._q[rows.count] = np.nan
+            self._rates[rows.count] = np.nan
+        elif self._held is None or not np.array_equal(self._held, self._stepper.q_ref):
+            self._held = self._stepper.q_ref.copy()
+            self._q[rows.count :] = self._held  # all of them: a controller may foresee its reference
+            self._rates[rows.count :] = 0.0
         name = traits(controller).name if holds else "external"
         if name not in self.controllers:
             self.controllers.append(name)

@@ -118,9 +118,8 @@ class TickLoop:
                 torque_rows=rows.tau,
             )
         finally:  # an exception of the law, or an interrupt, ends the call after its last tick
-            del (
-                law
-            )  # a traceback that kept it would keep the controller, since Python does not see what a law of the core keeps
+            # A traceback that kept the law would keep the controller: Python does not see what a law of the core keeps.
+            del law
             rows.count = end.count
             rows.contacts += end.contacts
             if disturbances is not None and planned is not None:

@@ -1,8 +1,10 @@
 """sim.step: one tick at a time, for loops that callers write themselves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from motions import Sway
+from motions import Still, Sway
 from synthetic import limb, mjcf, motors
 
 import armctl
@@ -178,3 +180,16 @@ def test_a_viewer_sees_steps_at_its_own_interval(bundled: armctl.Arm):
     for _ in range(25):
         sim.step()
     assert watching.seconds == pytest.approx([0.01] * 5)
+
+
+def test_a_controller_that_foresees_its_reference_holds_as_in_a_run(bundled: armctl.Arm):
+    arm = bundled
+    weak = arm.with_limits(replace(arm.limits, tau_max=0.3 * arm.limits.tau_max))
+    sim = armctl.Simulation(weak, armctl.MPC(weak))
+    sim.reset(v=[1.0, -1.0, 1.0])
+    for _ in range(100):
+        sim.step()
+    stepped = sim.log.tau_cmd
+    sim.reset(v=[1.0, -1.0, 1.0])
+    held = sim.run(Still(arm.home, 0.0), dwell=100 * sim.dt)
+    assert np.array_equal(stepped, held.tau_cmd[:100])
