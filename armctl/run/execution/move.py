@@ -353,12 +353,18 @@ class _JointController(ControllerWrapper):
         self._controllers = controllers
         self._slices = slices
         self._wrenches = wrenches
-        each = [traits(controller) for controller in controllers.values()]
+        each = {tip: traits(controller) for tip, controller in controllers.items()}
+        self._planning = {tip: own.foresee for tip, own in each.items() if own.foresee is not None}
         self.traits = Traits(
             name="team",
-            needs_wrench=any(own.needs_wrench for own in each),
-            needs_deflection=any(own.needs_deflection for own in each),
+            needs_wrench=any(own.needs_wrench for own in each.values()),
+            needs_deflection=any(own.needs_deflection for own in each.values()),
+            foresee=self._foresee if self._planning else None,
         )
+
+    def _foresee(self, ahead: TickReference) -> None:
+        for tip, foresee in self._planning.items():
+            foresee(TickReference(*(column[:, self._slices[tip]] for column in ahead)))
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         torques = np.empty(len(state.q))

@@ -1,6 +1,7 @@
 """Several arms in one simulation: each with its own target, controller and verdict, and none shakes another."""
 
 import warnings
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -39,6 +40,17 @@ def test_a_team_moves_as_its_arms_do_alone(pair):
         rows = min(len(alone.t), len(together[arm.tip].t))
         assert np.allclose(alone.q[:rows], together[arm.tip].q[:rows], atol=1e-9)
         assert together[arm.tip].joint_names == arm.joint_names
+
+
+def test_a_planning_controller_in_a_team_foresees_the_reference_of_its_own_arm(pair):
+    first, second = pair()
+    motion = armctl.move_j(second, second.home, second.home + 0.5)
+    torques = armctl.simulate(second, "computed-torque", motion).tau_cmd
+    weak = second.with_limits(replace(second.limits, tau_max=0.9 * np.abs(torques).max(axis=0)))  # so that MPC has to plan
+    together = armctl.Team([first, weak], controllers={"F": armctl.MPC(weak)}).run({"F": motion})["F"]
+    alone = armctl.simulate(weak, armctl.MPC(weak), motion, dwell=0.0)
+    rows = min(len(alone.t), len(together.t))
+    assert np.allclose(alone.tau_cmd[:rows], together.tau_cmd[:rows], atol=1e-6)
 
 
 def test_verdicts_apiece(pair):
