@@ -7,8 +7,13 @@ import sys
 import tempfile
 from pathlib import Path
 
+sys.path.append(str(Path(__file__).parents[2] / "tests" / "helpers"))
+
+from printed_outputs import own_words
+
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
+
 TABLE = re.compile(r"(<!-- armctl (compare .*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 REACHED = re.compile(r"reached within .*")
 
@@ -25,7 +30,7 @@ def printed(*command: str | Path) -> str:
         raise ModuleNotFoundError(done.stderr)
     if done.returncode:
         raise RuntimeError(done.stderr)
-    return re.sub(r"/\S+/", "", done.stdout)
+    return own_words(done.stdout)
 
 
 def printed_with_franky_sim(example: Path, address: str = "127.0.0.5") -> str:
