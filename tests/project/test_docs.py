@@ -4,8 +4,10 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import matplotlib
 import pytest
 from arms import MISSING, some_of
 
@@ -86,6 +88,15 @@ LONG = {
 }
 
 
+@pytest.fixture
+def backend() -> Iterator[None]:
+    """Restores Matplotlib's backend, of which a page may choose another one."""
+    before = matplotlib.get_backend()
+    yield
+    matplotlib.use(before)
+
+
+@pytest.mark.usefixtures("backend")
 @pytest.mark.parametrize("page", some_of(PROGRAMS, [page for page in PROGRAMS if page.name not in LONG]), ids=str)
 @pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
