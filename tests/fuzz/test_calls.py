@@ -178,12 +178,13 @@ def world() -> dict[str, object]:
         "jax.OperationalSpaceGains": armctl.jax.OperationalSpaceGains.from_controller(armctl.OperationalSpace(arm)),
         "jax.Reference": armctl.jax.tick_reference(motion, arm.dt, ticks=2),
         "links.Franka": armctl.links.Franka("127.0.0.1"),
-        "links.Hand": armctl.links.Hand(hand.hand),
+        "links.Hand": armctl.links.Hand(hand),
         "LeRobotArm": lerobot_arm,
         "links.LinkCheck": armctl.Robot(arm, armctl.links.PlantLink(arm)).check(0.1),
         "links.PlantLink": link,
         "links.SO101": feetech_link(),
-        "links.Seen": link.read(),
+        "links.Reading": link.read(),
+        "links.HandReading": hand.read_hand(),
     } | costly_results()
 
 

@@ -65,7 +65,7 @@ class ContactReaction:
         return self._arm.joint_names
 
     @property
-    def felt(self) -> str:
+    def reason(self) -> str:
         """The contact that was detected, and when; empty if nothing was."""
         return f"contact at {self.time:.3f} s: {self.contact}" if self.contact else ""
 
@@ -148,7 +148,7 @@ class ContactReaction:
         if self.reaction == "float" and self.duration > 0.0:
             nothing = np.full((max(1, round(self.duration / dt)), self._arm.n), np.nan)
             run(HandGuiding(self._arm), TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
-        return self.felt
+        return self.reason
 
 
 def check_reaction(reaction: ContactReaction, arm: Arm) -> None:

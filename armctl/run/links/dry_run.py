@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,12 +11,13 @@ from armctl.core.errors import LinkError
 from armctl.core.log import Log
 from armctl.core.result import left_out_text
 from armctl.core.validation import Array
-from armctl.run.links.link import Link, Seen, check_link
+from armctl.run.links.link import HandReading, Link, Reading, check_link
 
 if TYPE_CHECKING:
     from armctl.model.collision.checker import CollisionChecker
 
 _CLEARANCE_SAMPLES = 200
+_HAND_STAYS = "gripper: a dry run does not move the hand"
 
 
 @dataclass(frozen=True)
@@ -118,19 +119,19 @@ class DryRun:
         self.rest_speed = link.rest_speed
         self.settle = link.settle
         self.payload = link.payload
-        self._seen: Seen | None = None
+        self._reading: Reading | None = None
 
     def open(self) -> None:
         """Connects, and reads where the robot is."""
         self.link.open()
-        seen = self.link.read()
-        self._seen = seen._replace(v=np.zeros_like(seen.q))
+        reading = self.link.read()
+        self._reading = reading._replace(v=np.zeros_like(reading.q))
 
-    def read(self) -> Seen:
+    def read(self) -> Reading:
         """The robot as it was read, where the last motion would have ended."""
-        assert self._seen is not None
-        self._seen = self._seen._replace(t=self._seen.t + self.dt)
-        return self._seen
+        assert self._reading is not None
+        self._reading = self._reading._replace(t=self._reading.t + self.dt)
+        return self._reading
 
     def tip(self) -> Array | None:
         """That of the robot."""
@@ -139,7 +140,7 @@ class DryRun:
     def start(self) -> None:
         """A motion begins at the robot's last command."""
 
-    def wait(self) -> tuple[int, Seen]:
+    def wait(self) -> tuple[int, Reading]:
         """The next tick, at once."""
         return 1, self.read()
 
@@ -150,8 +151,8 @@ class DryRun:
             q: (n,) rad.
             last: Whether the stream ends.
         """
-        assert self._seen is not None
-        self._seen = self._seen._replace(q=q, q_ref=q)
+        assert self._reading is not None
+        self._reading = self._reading._replace(q=q, q_ref=q)
 
     def recover(self) -> None:
         """A dry run clears no fault.
@@ -161,22 +162,25 @@ class DryRun:
         """
         raise LinkError("recover: a dry run clears no fault; make a Robot with the link itself")
 
-    def hand(self, action: str, *arguments: float) -> Any:
-        """The hand is read, and does not move.
+    def read_hand(self) -> HandReading:
+        """That of the robot."""
+        return self.link.read_hand()
 
-        Args:
-            action: "read"; `Hand` lists the others.
-            *arguments: Of the action.
-
-        Returns:
-            What the hand tells.
+    def move_hand(self, width: float) -> bool:
+        """A dry run does not move the hand.
 
         Raises:
-            LinkError: The action would move the hand.
+            LinkError: Always.
         """
-        if not isinstance(action, str) or action != "read":
-            raise LinkError("gripper: a dry run does not move the hand")
-        return self.link.hand(action)
+        raise LinkError(_HAND_STAYS)
+
+    def close_hand(self, force: float) -> bool:
+        """A dry run does not close the hand.
+
+        Raises:
+            LinkError: Always.
+        """
+        raise LinkError(_HAND_STAYS)
 
     def close(self) -> None:
         """Disconnects."""

@@ -15,7 +15,7 @@ from armctl.core.errors import InputError, LinkError, import_extra
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, as_array, flag, inertia_tensor, number, vector
 from armctl.run.links.envelope import Envelope
-from armctl.run.links.link import Link, Seen
+from armctl.run.links.link import HandReading, Link, Reading
 
 _COLLISION_TORQUE = 20.0  # N m, at which the robot stops; the value of Franka's examples
 _COLLISION_FORCE = 20.0  # N
@@ -91,6 +91,9 @@ class Franka(Link):
         self._robot: Any = None
         self._control: Any = None
         self._hand: Any = None
+        self._is_first = True  # whether no row of the stream was sent yet
+        self._received = 0.0  # s of the clock, when the last reading came
+        self._intervals = deque([0.0], maxlen=_ROWS_ON_THEIR_WAY)  # s, between the last readings
 
     def open(self) -> None:
         """Connects, and sets load and collision thresholds."""
@@ -103,8 +106,8 @@ class Franka(Link):
             if self.payload:
                 self._robot.set_load(self.payload, self._center.tolist(), self._inertia.ravel().tolist())
 
-    def read(self) -> Seen:
-        return self._seen(self._state())
+    def read(self) -> Reading:
+        return self._reading(self._state())
 
     def tip(self) -> Array | None:
         return np.array(self._state().O_T_EE).reshape(4, 4).T
@@ -116,7 +119,7 @@ class Franka(Link):
         self._received = time.monotonic()
         self._intervals = deque([0.0], maxlen=_ROWS_ON_THEIR_WAY)
 
-    def wait(self) -> tuple[int, Seen]:
+    def wait(self) -> tuple[int, Reading]:
         control = self._stream()
         try:
             with _calling():
@@ -130,7 +133,7 @@ class Franka(Link):
         self._received = now
         ticks = 1 if self._is_first else max(1, round(period.to_sec() / self.dt))
         self._is_first = False
-        return ticks, self._seen(state)
+        return ticks, self._reading(state)
 
     def send(self, q: Array, last: bool) -> None:
         q = vector("q", q, 7)
@@ -148,21 +151,30 @@ class Franka(Link):
         with _calling("recover: "):
             self._opened().automatic_error_recovery()
 
-    def hand(self, action: str, *arguments: float) -> Any:
-        with _calling("gripper: ") as client:
-            if self._hand is None:
-                self._hand = client.Gripper(self.host)
-            if action == "move":
-                return self._hand.move(arguments[0], _HAND_SPEED)
-            if action == "grasp":
-                return self._hand.grasp(0.0, _HAND_SPEED, arguments[0], _HAND_WIDTH_ERROR, _HAND_WIDTH_ERROR)
-            state = self._hand.read_once()
-        return state.width, state.max_width, state.is_grasped
+    def read_hand(self) -> HandReading:
+        with self._calling_hand() as hand:
+            state = hand.read_once()
+        return HandReading(state.width, state.max_width, state.is_grasped)
+
+    def move_hand(self, width: float) -> bool:
+        with self._calling_hand() as hand:
+            return hand.move(width, _HAND_SPEED)
+
+    def close_hand(self, force: float) -> bool:
+        with self._calling_hand() as hand:
+            return hand.grasp(0.0, _HAND_SPEED, force, _HAND_WIDTH_ERROR, _HAND_WIDTH_ERROR)
 
     def close(self) -> None:
         self._control = None
         self._hand = None
         self._robot = None
+
+    @contextmanager
+    def _calling_hand(self) -> Iterator[Any]:
+        with _calling("gripper: ") as client:
+            if self._hand is None:
+                self._hand = client.Gripper(self.host)
+            yield self._hand
 
     def _opened(self) -> Any:
         if self._robot is None:
@@ -178,9 +190,9 @@ class Franka(Link):
         with _calling(f"{self.host}: "):
             return self._opened().read_once()
 
-    def _seen(self, state: Any) -> Seen:
+    def _reading(self, state: Any) -> Reading:
         fault = str(state.current_errors) if state.current_errors else ""
-        return Seen(
+        return Reading(
             t=state.time.to_sec(),
             q=np.array(state.q),
             v=np.array(state.dq),

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Any
 
 from armctl.core.result import GripResult
 from armctl.core.validation import number
+from armctl.run.links.link import HandLink
 
 _DEFAULT_FORCE = 10.0  # N
 _WIDTH_TOLERANCE = 2e-3  # m
@@ -21,24 +20,23 @@ class Hand:
     The hand does not know what it holds, so a body in it is no part of the proofs of the motions that follow.
     """
 
-    def __init__(self, call: Callable[..., Any]):
+    def __init__(self, link: HandLink):
         """The hand behind a link.
 
         Args:
-            call: `Link.hand`: "read" returns width, m, greatest width, m, and whether it reports a grasp; "move" takes a width
-                and "grasp" a force, N, and both return whether the hand calls it a success.
+            link: The link of the robot, which is open.
         """
-        self._call = call
+        self._link = link
 
     @property
     def width(self) -> float:
         """The distance between the fingers now, m."""
-        return self._call("read")[0]
+        return self._link.read_hand().width
 
     @property
     def width_max(self) -> float:
         """The distance between the fingers when open, m."""
-        return self._call("read")[1]
+        return self._link.read_hand().width_max
 
     def open(self) -> GripResult:
         """Opens the hand completely.
@@ -63,7 +61,7 @@ class Hand:
         """
         width = number("width", width, 0.0, self.width_max + 1e-6)
         begin = time.monotonic()
-        self._call("move", width)
+        self._link.move_hand(width)
         reached = self.width
         wrong = abs(reached - width) > _WIDTH_TOLERANCE
         reason = f"the fingers stopped {1e3 * reached:.3g} mm apart, {1e3 * width:.3g} mm were asked for" if wrong else ""
@@ -95,12 +93,12 @@ class Hand:
         """
         force = number("force", force, 0.0)
         begin = time.monotonic()
-        self._call("grasp", force)
-        width, _, reported = self._call("read")
-        holds = reported and width >= _THINNEST_OBJECT_M
+        self._link.close_hand(force)
+        width, _, grasps = self._link.read_hand()
+        holds = grasps and width >= _THINNEST_OBJECT_M
         reason = ""
         if not holds:
-            claim = "; the hand reports a grasp" if reported else ""
+            claim = "; the hand reports a grasp" if grasps else ""
             reason = f"closed on nothing: the fingers are {1e3 * width:.2g} mm apart{claim}"
         return _result(holds, width, begin, reason)
 

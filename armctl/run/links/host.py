@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.plan.motion.trajectory.path_stop import REST_SPEED, stopped
 from armctl.plan.motion.trajectory.piecewise import Pieces, sample, standing
-from armctl.run.links.link import Link, Seen
+from armctl.run.links.link import HandReading, Link, Reading
 
 START_TOLERANCE = 1e-5  # rad, between the last command and the start of a motion; the wire may have single precision
 JOIN_TOLERANCE = 1e-6  # rad, between the end of one motion and the start of the next; single precision is 1e-7
@@ -141,8 +141,8 @@ class LinkHost:
         self.streaming = False  # whether a stream is open
         self._lock = Lock()
         self._player: Player | None = None
-        self._last: Seen | None = None
-        self._kept: list[tuple[int, Seen, Array]] = []
+        self._last: Reading | None = None
+        self._kept: list[tuple[int, Reading, Array]] = []
         self._fault = ""
         self._stopped = ""
         self._lost = 0
@@ -152,7 +152,7 @@ class LinkHost:
     def open(self) -> None:
         self.link.open()
 
-    def read(self) -> Seen:
+    def read(self) -> Reading:
         return self._last if self.streaming and self._last is not None else self.link.read()
 
     def tip(self) -> Array | None:
@@ -162,8 +162,14 @@ class LinkHost:
         self.link.recover()
         self._fault = ""
 
-    def hand(self, action: str, *arguments: float) -> Any:
-        return self.link.hand(action, *arguments)
+    def read_hand(self) -> HandReading:
+        return self.link.read_hand()
+
+    def move_hand(self, width: float) -> bool:
+        return self.link.move_hand(width)
+
+    def close_hand(self, force: float) -> bool:
+        return self.link.close_hand(force)
 
     def play(self, pieces: Pieces, at: int | None, limits: Limits, delay: int = 0) -> Played:
         """Plays a motion to rest from a tick of the open stream, or after some ticks; opens a stream if there is none."""
@@ -173,16 +179,16 @@ class LinkHost:
             if at is not None:
                 why = self._fault or self._stopped
                 return Played(at, why or "the motion came too late: the stream has ended", late=0 if why else 1)
-        seen = self.link.read()
-        if seen.fault:
-            raise LinkError(seen.fault)
+        reading = self.link.read()
+        if reading.fault:
+            raise LinkError(reading.fault)
         start = pieces.coefficients[0, 0]
-        gap = np.abs(seen.q_ref - start)
+        gap = np.abs(reading.q_ref - start)
         joint = int(gap.argmax())
         if gap[joint] > START_TOLERANCE:
             return Played(
                 0,
-                f"joint {joint + 1} of the robot was commanded to {seen.q_ref[joint]:.5f} rad, but the motion starts at "
+                f"joint {joint + 1} of the robot was commanded to {reading.q_ref[joint]:.5f} rad, but the motion starts at "
                 f"{start[joint]:.5f} rad: it moved after the motion was planned; plan again",
             )
         player = Player(start, self.link.dt, limits, self._lead)
@@ -208,16 +214,16 @@ class LinkHost:
         player = self._player
         assert player is not None
         try:
-            ticks, seen = self.link.wait()
-            if seen.fault:
-                raise LinkError(seen.fault)
+            ticks, reading = self.link.wait()
+            if reading.fault:
+                raise LinkError(reading.fault)
             self._lost += ticks - 1
             row = player.next(ticks)
             with self._lock:
                 last = player.tick - player.end > _IDLE_S / self.link.dt
                 self.link.send(row, last)
-                self._last = seen
-                self._kept.append((player.tick, seen, row))
+                self._last = reading
+                self._kept.append((player.tick, reading, row))
                 self.streaming = not last
         except LinkError as error:
             with self._lock:
@@ -233,10 +239,10 @@ class LinkHost:
             streaming = self.streaming
         readings = Readings(
             tick=np.array([tick for tick, _, _ in kept], dtype=np.float64),
-            t=np.array([seen.t for _, seen, _ in kept]),
-            q=np.array([seen.q for _, seen, _ in kept]),
-            v=np.array([seen.v for _, seen, _ in kept]),
-            tau=np.array([seen.tau for _, seen, _ in kept]),
+            t=np.array([reading.t for _, reading, _ in kept]),
+            q=np.array([reading.q for _, reading, _ in kept]),
+            v=np.array([reading.v for _, reading, _ in kept]),
+            tau=np.array([reading.tau for _, reading, _ in kept]),
             sent=np.array([row for _, _, row in kept]),
         )
         return Progress(tick, streaming, self._fault, self._stopped, self._lost, readings)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from armctl.core.validation import Array, instance
 from armctl.run.links.envelope import Envelope
 
 
-class Seen(NamedTuple):
+class Reading(NamedTuple):
     """One reading of a robot, in SI units and the order of the arm's joints.
 
     Attributes:
@@ -28,8 +28,38 @@ class Seen(NamedTuple):
     fault: str = ""
 
 
+class HandReading(NamedTuple):
+    """What a hand measures.
+
+    Attributes:
+        width: m, between the fingers.
+        width_max: m, when they are open.
+        grasps: Whether the hand reports a grasp.
+    """
+
+    width: float
+    width_max: float
+    grasps: bool
+
+
+class HandLink(Protocol):
+    """The way to the hand of a robot. Every method raises LinkError if there is none."""
+
+    def read_hand(self) -> HandReading:
+        """The hand now."""
+        ...
+
+    def move_hand(self, width: float) -> bool:
+        """Moves the fingers to a distance, m. Returns whether the hand calls it a success."""
+        ...
+
+    def close_hand(self, force: float) -> bool:
+        """Closes the fingers, which then hold with a force, N. Returns whether the hand calls it a success."""
+        ...
+
+
 @runtime_checkable
-class Link(Protocol):
+class Link(HandLink, Protocol):
     """The way to one robot. It is made without a connection and pickled; `open` connects, in the process that streams.
 
     Every method raises LinkError if the connection fails or the robot reports a fault.
@@ -58,7 +88,7 @@ class Link(Protocol):
         """Connects; nothing moves."""
         ...
 
-    def read(self) -> Seen:
+    def read(self) -> Reading:
         """The robot now, between two streams."""
         ...
 
@@ -70,7 +100,7 @@ class Link(Protocol):
         """Begins a stream of positions."""
         ...
 
-    def wait(self) -> tuple[int, Seen]:
+    def wait(self) -> tuple[int, Reading]:
         """Waits for the next tick of a stream: how many ticks passed, more than 1 if some were lost, and a reading."""
         ...
 
@@ -80,10 +110,6 @@ class Link(Protocol):
 
     def recover(self) -> None:
         """Clears a fault, because the user asked for it."""
-        ...
-
-    def hand(self, action: str, *arguments: float) -> Any:
-        """What a hand does or tells: `Hand` in `links/hand.py` lists the actions. LinkError if there is none."""
         ...
 
     def close(self) -> None:

@@ -13,7 +13,7 @@ from armctl.core.result import Verdict
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.mjmodel.queries import placed
-from armctl.run.links.link import Seen
+from armctl.run.links.link import Reading
 
 if TYPE_CHECKING:
     from armctl.run.links.link_drive import LinkDrive
@@ -81,22 +81,22 @@ def tip_difference(arm: Arm, q: Array, T_base_tip: Array) -> float:
     return float(np.linalg.norm(arm.fk(q).position - robot))
 
 
-def model_refusal(arm: Arm, seen: Seen, T_base_tip: Array | None, set_payload: float | None, payload: float) -> str:
+def model_refusal(arm: Arm, reading: Reading, T_base_tip: Array | None, set_payload: float | None, payload: float) -> str:
     """Why a model with a payload, kg, is not the robot; empty if nothing that the robot tells speaks against it."""
-    if len(seen.q) != arm.n:
-        return f"the robot has {len(seen.q)} joints, the model {arm.name:.60} has {arm.n}"
-    outside = np.maximum(arm.limits.q_min - seen.q, seen.q - arm.limits.q_max)
+    if len(reading.q) != arm.n:
+        return f"the robot has {len(reading.q)} joints, the model {arm.name:.60} has {arm.n}"
+    outside = np.maximum(arm.limits.q_min - reading.q, reading.q - arm.limits.q_max)
     joint = int(outside.argmax())
     if outside[joint] > _RANGE_TOLERANCE:
         low = arm.limits.q_min[joint]
         high = arm.limits.q_max[joint]
         return (
-            f"{arm.joint_names[joint]} of the robot is at {seen.q[joint]:.4f} rad, outside the range of the model, "
+            f"{arm.joint_names[joint]} of the robot is at {reading.q[joint]:.4f} rad, outside the range of the model, "
             f"[{low:.4f}, {high:.4f}] rad; move it into the range by hand, or load the right model"
             f"{units.question(arm.units[joint], float(outside[joint]), 'a link reads rad')}"
         )
     if T_base_tip is not None:
-        difference = tip_difference(arm, seen.q, T_base_tip)
+        difference = tip_difference(arm, reading.q, T_base_tip)
         if difference > TIP_TOLERANCE_M:
             return (
                 f"the tip of the model {arm.name:.60} is {1e3 * difference:.1f} mm from the tip that the robot computes, "

@@ -6,7 +6,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,7 @@ from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, flag, instance, integer, vector
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.run.links.envelope import Envelope
-from armctl.run.links.link import Link, Seen
+from armctl.run.links.link import HandReading, Link, Reading
 from armctl.run.links.link_check import base_pose
 from armctl.run.sim.gripper.gripper import Gripper
 from armctl.run.sim.plant import Plant, read_plant
@@ -94,42 +94,34 @@ class PlantLink(Link):
         self._faults = dict(faults or {})
         self._record_path = None if record is None else file_path("record", record)
         self._record: BinaryIO | None = None
-        self._stepper: Stepper | None = None
+        self._robot: _SimulatedRobot | None = None
         self._fault = ""
+        self._due = 0.0  # s of the clock, the next tick
+        self._pending = 0  # ticks that began, and are simulated when the next one does
 
     def open(self) -> None:
-        self._stepper = Stepper([self._arm], self.plant)
-        self._stepper.reset(self.q_start)
-        self._servo = ComputedTorque(self._arm)
-        self._gripper: Gripper | None = None
-        self._rows = deque([np.array(self.q_start)] * 3, maxlen=3)
-        self._waiting: deque[tuple[int, Array]] = deque()  # rows on their way, with the tick at which they arrive
-        self._told = np.array(self.q_start)
-        self._tick = 0
-        self._arrived = 0  # the tick at which the last row did
-        self._streaming = False
+        self._robot = _SimulatedRobot(self._arm, self.plant, self.q_start, self._lag)
         self._pending = 0
         if self._record_path is not None:
             self._record = self._record_path.open("ab", buffering=0)
 
-    def read(self) -> Seen:
+    def read(self) -> Reading:
         """The robot now; between two streams of a robot in real time, its time goes on."""
         if not self.passes_time:
             self._pass(1)
-        return self._seen()
+        return self._reading()
 
     def tip(self) -> Array | None:
-        stepper = self._simulation()
-        return base_pose(self._arm).inverse().matrix @ stepper.tip_pose(self._arm).matrix
+        return base_pose(self._arm).inverse().matrix @ self._opened().stepper.tip_pose(self._arm).matrix
 
     def start(self) -> None:
         if self._fault:
             raise LinkError(self._fault)
         self._due = time.monotonic()
         self._pending = 0
-        self._streaming = True
+        self._opened().streaming = True
 
-    def wait(self) -> tuple[int, Seen]:
+    def wait(self) -> tuple[int, Reading]:
         ticks = 1 + self._lost.pop(self.sent, 0)
         if not self.passes_time:
             self._due += self.dt
@@ -144,77 +136,110 @@ class PlantLink(Link):
         self._pending = 1
         if self.sent in self._faults:
             self._fault = self._faults.pop(self.sent)
-        return ticks, self._seen()
+        return ticks, self._reading()
 
     def send(self, q: Array, last: bool) -> None:
         if self._fault:
             raise LinkError(self._fault)
         q = vector("q", q, self._arm.n)
         last = flag("last", last)
-        self._simulation()
+        robot = self._opened()
         self.sent += 1
         if self._record is not None:
-            self._record.write(np.append(self.dt * (self._tick + 1), q).tobytes())
-        self._told = q
-        self._waiting.append((self._tick + 1 + self._lag, self._told))
+            self._record.write(np.append(self.dt * (robot.tick + 1), q).tobytes())
+        robot.send(q)
         if last:
-            self._streaming = False
+            robot.streaming = False
             self._pass(1)
             self._pending = 0
 
     def recover(self) -> None:
         self._fault = ""
-        stepper = self._simulation()
-        stepper.failure = ""
-        self._hold(stepper.state.q)
+        robot = self._opened()
+        robot.stepper.failure = ""
+        robot.hold(robot.stepper.state.q)
 
-    def hand(self, action: str, *arguments: float) -> Any:
-        if self._gripper is None:
-            self._gripper = Gripper(self._arm, self._simulation(), lambda seconds: self._pass(max(1, round(seconds / self.dt))))
-        if action == "read":
-            return self._gripper.width, self._gripper.width_max, bool(self._gripper.held)
-        return bool(getattr(self._gripper, action)(*arguments))
+    def read_hand(self) -> HandReading:
+        gripper = self._gripper()
+        return HandReading(gripper.width, gripper.width_max, bool(gripper.held))
+
+    def move_hand(self, width: float) -> bool:
+        return bool(self._gripper().move(width))
+
+    def close_hand(self, force: float) -> bool:
+        return bool(self._gripper().grasp(force))
 
     def close(self) -> None:
         if self._record is not None:
             self._record.close()
-        self._stepper = None
+        self._robot = None
 
-    def _seen(self) -> Seen:
-        stepper = self._simulation()
-        state = stepper.measured_state
-        fault = self._fault or stepper.failure
-        return Seen(state.t, np.array(state.q), np.array(state.v), stepper.motor_torque, self._told, fault)
+    def _reading(self) -> Reading:
+        robot = self._opened()
+        state = robot.stepper.measured_state
+        fault = self._fault or robot.stepper.failure
+        return Reading(state.t, np.array(state.q), np.array(state.v), robot.stepper.motor_torque, robot.commanded, fault)
 
-    def _hold(self, q: Array) -> None:
-        """Forgets all rows, and stands at q."""
-        self._told = np.array(q)
-        self._rows.extend([self._told] * 3)
-        self._waiting.clear()
+    def _gripper(self) -> Gripper:
+        robot = self._opened()
+        if robot.gripper is None:
+            robot.gripper = Gripper(self._arm, robot.stepper, lambda seconds: self._pass(max(1, round(seconds / self.dt))))
+        return robot.gripper
 
     def _pass(self, ticks: int) -> None:
+        self._opened().simulate(ticks, bool(self._fault))
+
+    def _opened(self) -> _SimulatedRobot:
+        if self._robot is None:
+            raise LinkError(f"{self.name}: the link is not open; give it to an armctl.Robot")
+        return self._robot
+
+
+class _SimulatedRobot:
+    """A simulated arm with the servo that follows the rows on their way to it."""
+
+    def __init__(self, arm: Arm, plant: Plant, q_start: Array, lag: int):
+        self.stepper = Stepper([arm], plant)
+        self.stepper.reset(q_start)
+        self.gripper: Gripper | None = None
+        self.streaming = False
+        self.tick = 0
+        self.commanded = np.array(q_start)  # (n,) rad, the row that was sent last
+        self._dt = self.stepper.dt
+        self._lag = lag
+        self._servo = ComputedTorque(arm)
+        self._rows = deque([np.array(q_start)] * 3, maxlen=3)
+        self._waiting: deque[tuple[int, Array]] = deque()  # rows on their way, with the tick at which they arrive
+        self._arrived = 0  # the tick at which the last row did
+
+    def send(self, q: Array) -> None:
+        self.commanded = q
+        self._waiting.append((self.tick + 1 + self._lag, q))
+
+    def hold(self, q: Array) -> None:
+        """Forgets all rows, and stands at q."""
+        self.commanded = np.array(q)
+        self._rows.extend([self.commanded] * 3)
+        self._waiting.clear()
+
+    def simulate(self, ticks: int, has_fault: bool) -> None:
         """Simulates ticks. Where a row is lost, the servo goes on as before; it works one row behind, to know a difference."""
-        stepper = self._simulation()
+        stepper = self.stepper
         for _ in range(ticks):
-            if self._fault and np.ptp(np.array(self._rows), axis=0).max() > 0.0:
-                self._hold(stepper.state.q)
-            self._tick += 1
+            if has_fault and np.ptp(np.array(self._rows), axis=0).max() > 0.0:
+                self.hold(stepper.state.q)
+            self.tick += 1
             expected = self._rows[-1]
-            if self._streaming and self._tick - self._arrived < _MAX_CONTINUED_TICKS:
+            if self.streaming and self.tick - self._arrived < _MAX_CONTINUED_TICKS:
                 expected = 2.0 * expected - self._rows[-2]
             self._rows.append(expected)
-            while self._waiting and self._waiting[0][0] <= self._tick:
+            while self._waiting and self._waiting[0][0] <= self.tick:
                 self._rows[-1] = self._waiting.popleft()[1]
-                self._arrived = self._tick
+                self._arrived = self.tick
             before, now, after = self._rows
-            v = (now - before) / self.dt
-            a = (after - 2.0 * now + before) / self.dt**2
+            v = (now - before) / self._dt
+            a = (after - 2.0 * now + before) / self._dt**2
             row = TickReference(*(column[None] for column in (now, v, a, v, a)))
             recorder = stepper.recorder()
             if not stepper.failure:
                 stepper.run(self._servo, row, recorder)
-
-    def _simulation(self) -> Stepper:
-        if self._stepper is None:
-            raise LinkError(f"{self.name}: the link is not open; give it to an armctl.Robot")
-        return self._stepper

@@ -18,7 +18,7 @@ from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.run.links.host import LinkHost, Played, Progress
-from armctl.run.links.link import Link, Seen
+from armctl.run.links.link import HandReading, Link, Reading
 
 _QUESTION_INTERVAL_S = 0.02
 _ANSWER_TIMEOUT_S = 30.0  # a hand closes in some seconds
@@ -105,7 +105,7 @@ class RemoteHost:
     def open(self) -> None:
         self._call("open")
 
-    def read(self) -> Seen:
+    def read(self) -> Reading:
         return self._call("read")
 
     def tip(self) -> Array | None:
@@ -114,8 +114,14 @@ class RemoteHost:
     def recover(self) -> None:
         self._call("recover")
 
-    def hand(self, action: str, *arguments: float) -> Any:
-        return self._call("hand", action, *arguments)
+    def read_hand(self) -> HandReading:
+        return self._call("read_hand")
+
+    def move_hand(self, width: float) -> bool:
+        return self._call("move_hand", width)
+
+    def close_hand(self, force: float) -> bool:
+        return self._call("close_hand", force)
 
     def play(self, pieces: Pieces, at: int | None, limits: Limits, delay: int = 0) -> Played:
         return self._call("play", pieces, at, limits, delay)

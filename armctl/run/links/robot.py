@@ -126,7 +126,7 @@ class Robot(Commands):
         Raises:
             LinkError: The robot has none.
         """
-        hand = Hand(self._host.hand)
+        hand = Hand(self._host)
         hand.width  # noqa: B018  # LinkError if there is none
         return hand
 
@@ -144,8 +144,8 @@ class Robot(Commands):
             check_reaction(reaction, self.arm)
             if reaction.reaction == "float":
                 raise InputError("reaction: a robot takes positions only and cannot float; 'stop' and 'retreat' are possible")
-            seen = self._host.read()
-            if not (np.isfinite(seen.v).all() and np.isfinite(seen.tau).all()):
+            reading = self._host.read()
+            if not (np.isfinite(reading.v).all() and np.isfinite(reading.tau).all()):
                 raise InputError(f"reaction: {self.link.name} measures no speeds and torques, so that it feels no contact")
         self._arms.reaction = reaction
 
@@ -165,7 +165,7 @@ class Robot(Commands):
         return self._drive.fault
 
     def recover(self) -> None:
-        """Clears a fault, once you have seen that the robot may move again. Nothing does that by itself.
+        """Clears a fault, once you have reading that the robot may move again. Nothing does that by itself.
 
         Raises:
             LinkError: The robot cannot be recovered by a program, and what to do.
@@ -338,10 +338,10 @@ class Robot(Commands):
     def _speed_share(self, pieces: Pieces) -> tuple[float, str]:
         """The share of its speed at which a motion may be made, and the joint whose range allows the least."""
         samples = sample(pieces, np.linspace(0.0, pieces.knots[-1], _SAMPLES))
-        low, high = self._drive.envelope.speed_limits(samples.q)
+        low, high = self._drive.check.envelope.speed_limits(samples.q)
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = np.where(samples.v > 0.0, high / samples.v, np.where(samples.v < 0.0, low / samples.v, np.inf))
-        tip_share = self._drive.tip_speed / max(self._drive.tip_speed_of(pieces), 1e-9)
+        tip_share = self._drive.check.tip_speed / max(self._drive.check.tip_speed_of(pieces), 1e-9)
         return 0.99 * min(float(shares.min()), tip_share), self.arm.joint_names[int(shares.min(axis=0).argmin())]
 
     def _unlock(self) -> None:

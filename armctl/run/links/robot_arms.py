@@ -43,11 +43,11 @@ class RobotArms(ControlledArms):
         if reaction.contact and not drive.fault:
             [trajectory] = trajectories.values()
             self._go_back(reaction, trajectory, recorder)
-            drive.failure = drive.fault or reaction.felt
+            drive.failure = drive.fault or reaction.reason
 
     def _go_back(self, reaction: ContactReaction, trajectory: Trajectory, recorder: Recorder) -> None:
         drive = self._link_drive
-        back = reaction.way_back(self._arm, trajectory, drive.passed, drive.q_ref)
+        back = reaction.way_back(self._arm, trajectory, drive.time_at_contact, drive.q_ref)
         allowed = None if back is None else self._provable(back)
         if allowed is not None:
             drive.failure = ""

@@ -9,7 +9,7 @@ import json
 import os
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from armctl.core.file_reading import read_bytes, reading, shown_path
 from armctl.core.validation import Array, IntArray, vector
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.run.links.envelope import Envelope, envelope_of
-from armctl.run.links.link import Link, Seen
+from armctl.run.links.link import HandReading, Link, Reading
 
 # The bus.
 _BAUD = 1_000_000
@@ -56,6 +56,9 @@ class _Servo(NamedTuple):
     offset: int
     middle: float
     travel: int
+
+
+_NO_HAND = "gripper: the gripper of an SO-101 is not supported"
 
 
 class SO101(Link):
@@ -105,6 +108,11 @@ class SO101(Link):
         self._q_middle = 0.5 * (arm.limits.q_min + arm.limits.q_max)
         self._names = arm.joint_names
         self._bus: ServoBus | None = None
+        self._began = 0.0  # s of the clock, when the link was opened
+        self._due = 0.0  # s of the clock, the next tick
+        self._commanded = np.array(arm.home)  # (n,) rad, the last goal
+        self._behind_since = np.full(len(self._ids), np.inf)  # s of the clock, since when each joint is far behind its goal
+        self._checked = 0  # how often a servo was asked for its fault
 
     def open(self) -> None:
         """Opens the port, checks servos and calibration, and switches the torque on where the joints are."""
@@ -126,18 +134,18 @@ class SO101(Link):
         self._write(counts)  # first: when its torque is switched on, a servo runs to its goal
         for servo in self._ids:
             bus.write(servo, _TORQUE, 1)
-        self._told = self._angles(counts)
+        self._commanded = self._angles(counts)
 
-    def read(self) -> Seen:
+    def read(self) -> Reading:
         rows = self._present()
         speeds = [_signed(int(speed), 15) for speed in rows[:, 1]]
         v = np.array(speeds) * (2.0 * np.pi / _COUNTS)
-        return Seen(
+        return Reading(
             t=time.monotonic() - self._began,
             q=self._angles(rows[:, 0]),
             v=v,
             tau=np.full(len(v), np.nan),
-            q_ref=self._told,
+            q_ref=self._commanded,
             fault=self._fault(),
         )
 
@@ -149,7 +157,7 @@ class SO101(Link):
         self._due = time.monotonic()
         self._behind_since[:] = np.inf
 
-    def wait(self) -> tuple[int, Seen]:
+    def wait(self) -> tuple[int, Reading]:
         self._open_bus()
         ticks = 1
         self._due += self.dt
@@ -159,27 +167,35 @@ class SO101(Link):
         else:
             ticks += int(late / self.dt)
             self._due += (ticks - 1) * self.dt
-        seen = self.read()
-        self._hold_blocked(seen)
-        return ticks, seen
+        reading = self.read()
+        self._hold_blocked(reading)
+        return ticks, reading
 
     def send(self, q: Array, last: bool) -> None:
         q = vector("q", q, len(JOINTS))
         self._write(np.rint((q - self._q_middle) * (_COUNTS / (2.0 * np.pi)) + self._middle).astype(np.int64))
-        self._told = q
+        self._commanded = q
 
     def recover(self) -> None:
         """Takes the present positions as goals. A servo that has switched itself off keeps its fault until the power is cut."""
         counts = self._counts()
         self._write(counts)
-        self._told = self._angles(counts)
+        self._commanded = self._angles(counts)
         fault = "".join(self._fault() for _ in self._ids)
         if fault:
             raise LinkError(f"recover: {fault}; switch the power of the servos off and on")
 
-    def hand(self, action: str, *arguments: float) -> Any:
+    def read_hand(self) -> HandReading:
         """Refused: the gripper is a joint with an unknown width."""
-        raise LinkError("gripper: the gripper of an SO-101 is not supported")
+        raise LinkError(_NO_HAND)
+
+    def move_hand(self, width: float) -> bool:
+        """Refused, as it is to read it."""
+        raise LinkError(_NO_HAND)
+
+    def close_hand(self, force: float) -> bool:
+        """Refused, as it is to read it."""
+        raise LinkError(_NO_HAND)
 
     def close(self) -> None:
         """Closes the port; the servos hold."""
@@ -210,16 +226,16 @@ class SO101(Link):
             raise LinkError(f"{joint}: its servo would have to turn over its zero; calibrate it with its middle at half a turn")
         self._open_bus().write_all(_GOAL, dict(zip(self._ids, counts.tolist(), strict=True)))
 
-    def _hold_blocked(self, seen: Seen) -> None:
+    def _hold_blocked(self, reading: Reading) -> None:
         """Holds the arm where it is if a joint stays far behind its goal: a servo that presses on burns out."""
         now = time.monotonic()
-        behind = np.abs(seen.q - self._told) > _BLOCKED_RAD
+        behind = np.abs(reading.q - self._commanded) > _BLOCKED_RAD
         self._behind_since = np.where(behind, np.minimum(self._behind_since, now), np.inf)
         blocked = now - self._behind_since > _BLOCKED_S
         if blocked.any():
             counts = self._counts()
             self._write(counts)
-            self._told = self._angles(counts)
+            self._commanded = self._angles(counts)
             raise LinkError(f"{self._names[int(blocked.argmax())]} is blocked; the arm holds where it is")
 
     def _fault(self) -> str:

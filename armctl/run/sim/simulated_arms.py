@@ -124,10 +124,10 @@ class SimulatedArms(ControlledArms):
             return
         stepper = self.stepper
         [trajectory] = trajectories.values()
-        felt = self.reaction.run(
+        contact = self.reaction.run(
             self._controller, trajectory, reference, recorder, stepper.run, lambda: stepper.motor_torque, stepper.state
         )
-        stepper.failure = stepper.failure or felt
+        stepper.failure = stepper.failure or contact
 
     def step(self, torque: Array | None) -> State:
         """The measured state after one tick of a single arm, with a torque or with its controller at the last reference."""

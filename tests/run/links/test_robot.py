@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl.run.execution.commands import Commands
-from armctl.run.links.link import Seen
+from armctl.run.links.link import HandReading, Reading
 
 ROUNDING = 1e-3
 
@@ -150,11 +150,11 @@ class MovedMeanwhile(armctl.links.PlantLink):
 
     moves = 0
 
-    def read(self) -> Seen:
+    def read(self) -> Reading:
         seen = super().read()
         self.moves -= 1
         if self.moves == 0:
-            self._hold(seen.q + 0.015)
+            self._robot.hold(seen.q + 0.015)
             seen = super().read()
         return seen
 
@@ -351,8 +351,8 @@ def test_a_log_of_a_robot_is_a_log_like_any_other(tmp_path):
 class WithoutTorqueSensors(armctl.links.PlantLink):
     """A robot that does not measure its torques, as servos on a bus."""
 
-    def _seen(self) -> Seen:
-        seen = super()._seen()
+    def _reading(self) -> Reading:
+        seen = super()._reading()
         return seen._replace(tau=np.full_like(seen.tau, np.nan))
 
 
@@ -397,12 +397,16 @@ class LyingHand(armctl.links.PlantLink):
 
     width = 0.08
 
-    def hand(self, action: str, *arguments: float):
-        if action == "move":
-            self.width = arguments[0]
-        if action == "grasp":
-            self.width = self.thing
-        return (self.width, 0.08, self.width < 0.08) if action == "read" else True
+    def read_hand(self) -> HandReading:
+        return HandReading(self.width, 0.08, self.width < 0.08)
+
+    def move_hand(self, width: float) -> bool:
+        self.width = width
+        return True
+
+    def close_hand(self, force: float) -> bool:
+        self.width = self.thing
+        return True
 
     thing = 0.0016
 

@@ -7,7 +7,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.run.links.link import Seen
+from armctl.run.links.link import Reading
 
 PUSH = armctl.Push(0.4, 0.2, force=[0.0, 30.0, 0.0])
 
@@ -51,7 +51,7 @@ def test_a_retreat_goes_back_and_the_next_move_starts_there():
     goal = robot.arm.home + np.array([1.2, 0.3, -0.3])
     moved = robot.move_j(goal)
     assert not moved
-    assert moved.reason == robot.reaction.felt
+    assert moved.reason == robot.reaction.reason
     assert moved.reason.startswith("contact at 0.4")
     way = np.abs(moved.log.q_ref - robot.arm.home).max(axis=1)
     assert way.max() > 0.02
@@ -104,7 +104,7 @@ def test_a_robot_that_cannot_float_or_feels_nothing_says_so():
     with pytest.raises(armctl.InputError, match="reaction: expected ContactReaction, got 'stop'"):
         robot.reaction = "stop"
     read = robot.link.read
-    robot.link.read = lambda: Seen(*read()[:3], np.full(3, np.nan), *read()[4:])
+    robot.link.read = lambda: Reading(*read()[:3], np.full(3, np.nan), *read()[4:])
     with pytest.raises(armctl.InputError, match="measures no speeds and torques"):
         robot.reaction = armctl.ContactReaction(robot.arm)
     assert robot.reaction is None

@@ -1,0 +1,53 @@
+"""RobotMirror: a model whose joints are where a robot measures them."""
+
+import copy
+from collections import deque
+
+import mujoco
+import numpy as np
+
+from armctl.control.interface import State
+from armctl.core.validation import Array
+from armctl.model.arm.arm import Arm
+
+_REST_WINDOW_S = 0.05  # over which rest is judged: a measured speed is noise
+_MIN_REST_WINDOW_S = 0.02
+
+
+class RobotMirror:
+    """A copy of an arm's model and its data; the joints are as measured, and all else as at home."""
+
+    def __init__(self, arm: Arm, rest_speed: float, t: float, q: Array, v: Array):
+        """A mirror with a first reading, at t s of the robot's clock; joints slower than `rest_speed` rad/s are at rest."""
+        self.model = copy.copy(arm.model)
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:] = arm.home_qpos
+        self.t0 = t  # s of the robot's clock, the first reading
+        self._joint_map = arm.actuation.joint_map
+        self._rest_speed = rest_speed
+        self._past: deque[tuple[float, Array]] = deque()
+        self._v = v
+        self.show(t, q, v)
+
+    def show(self, t: float, q: Array, v: Array) -> None:
+        """Takes a reading: t s of the robot's clock, q and v, (n,)."""
+        self._v = v
+        self._past.append((t, q))
+        while len(self._past) > 2 and t - self._past[1][0] > _REST_WINDOW_S:
+            self._past.popleft()
+        self._joint_map.set_positions(self.data.qpos, q)
+        self._joint_map.set_speeds(self.data.qvel, np.nan_to_num(v))
+        self.data.time = t - self.t0
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def state(self, dt: float) -> State:
+        """The last reading, of a robot with a tick of dt s."""
+        return State(self._past[-1][1], self._v, float(self.data.time), dt, True)
+
+    def is_still(self, joints: slice) -> bool:
+        """Whether the positions of some joints have not changed for a moment."""
+        t, q = self._past[-1]
+        window = t - self._past[0][0]
+        if window < _MIN_REST_WINDOW_S:
+            return False
+        return bool(np.abs(q - self._past[0][1])[joints].max() < self._rest_speed * window)
