@@ -131,7 +131,7 @@ def test_a_clear_statement_is_not(code: str):
 
 
 # Classes of one name that are being divided. A row goes when one of them has another name.
-SHARED_CLASS_NAMES = {"Observer", "Rows", "SimulatedArms", "Stream"}
+SHARED_CLASS_NAMES = {"Observer", "Rows", "SimulatedArms"}
 
 
 def class_names(text: str) -> list[str]:

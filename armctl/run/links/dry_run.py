@@ -169,6 +169,9 @@ class DryRun:
     def move_hand(self, width: float) -> bool:
         """A dry run does not move the hand.
 
+        Args:
+            width: m, between the fingers.
+
         Raises:
             LinkError: Always.
         """
@@ -176,6 +179,9 @@ class DryRun:
 
     def close_hand(self, force: float) -> bool:
         """A dry run does not close the hand.
+
+        Args:
+            force: N, with which the fingers hold.
 
         Raises:
             LinkError: Always.
