@@ -98,7 +98,7 @@ def controllers_from(text: str) -> list[str]:
     controllers = names(text)
     for name in controllers:
         if name not in CONTROLLERS:
-            raise UnknownNameError.of("controller", name, CONTROLLERS)
+            raise UnknownNameError.from_known("controller", name, CONTROLLERS)
     return controllers
 
 

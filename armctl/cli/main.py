@@ -53,10 +53,10 @@ class _Parser(argparse.ArgumentParser):
 def _parsed(parser: _Parser, words: Sequence[str]) -> argparse.Namespace:
     """The arguments of a command. A mistyped command or option gets a suggestion."""
     if not words[0].startswith("-") and words[0] not in parser.known:
-        raise UnknownNameError.of("command", words[0], parser.known)
+        raise UnknownNameError.from_known("command", words[0], parser.known)
     args, unknown = parser.parse_known_args(words)
     if unknown and unknown[0].startswith("-"):
-        raise UnknownNameError.of("option", unknown[0], args.options, f"`armctl {words[0]} --help`")
+        raise UnknownNameError.from_known("option", unknown[0], args.options, f"`armctl {words[0]} --help`")
     if unknown:
         raise InputError(f"{unknown[0]!r:.80} is one argument too many; `armctl {words[0]} --help` lists the arguments")
     return args

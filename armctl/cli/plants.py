@@ -32,7 +32,7 @@ def plant_by_name(text: str, arm: Arm, timestep: float | None = None) -> Plant:
     for word in text.split("+"):
         name, _, value = word.partition("=")
         if name not in PLANTS:
-            raise UnknownNameError.of("plant", name, PLANTS)
+            raise UnknownNameError.from_known("plant", name, PLANTS)
         for each in ("payload", "mass", "friction", "delay", "noise") if name == "all" and not value else (name,):
             try:
                 plant = _with(plant, each, value, arm)

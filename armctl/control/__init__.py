@@ -116,5 +116,5 @@ CONTROLLERS: dict[str, NamedController] = {
 def controller_by_name(name: str, arm: Arm) -> Controller:
     """A controller with its default gains, by its name in `CONTROLLERS`."""
     if name not in CONTROLLERS:
-        raise UnknownNameError.of("controller", name, CONTROLLERS)
+        raise UnknownNameError.from_known("controller", name, CONTROLLERS)
     return CONTROLLERS[name](arm)

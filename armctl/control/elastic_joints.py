@@ -76,7 +76,7 @@ class ElasticFeedforward(PD):
         self.rotor_inertia = armature if rotor_inertia is None else rotor_inertia
         self.friction = flag("friction", friction)
         self._passive = PassiveForces(arm.model, arm.joint_map)
-        self._loss = DryFriction.of(arm.model, arm.joint_map).loss
+        self._loss = DryFriction.from_model(arm.model, arm.joint_map).loss
         self._reference_clock = Clock()
         self._past: tuple[Array, Array] | None = None
 

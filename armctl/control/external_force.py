@@ -79,7 +79,7 @@ class ExternalForce:
         self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
         self._passive = PassiveForces(arm.model, arm.joint_map)
         self._friction = friction
-        self._loss = np.array(DryFriction.of(arm.model, arm.joint_map).loss)
+        self._loss = np.array(DryFriction.from_model(arm.model, arm.joint_map).loss)
         if friction is not None:
             fast = np.full(arm.n, 10 * _FRICTION_SPEED)
             self._loss = np.abs(vector("friction", friction(fast), arm.n))

@@ -33,7 +33,7 @@ class HandGuiding:
         self.friction_share = number("friction_share", friction_share, 0.0, 0.95)
         self._arm = arm
         self._passive = PassiveForces(arm.model, arm.joint_map)
-        self._loss = np.array(DryFriction.of(arm.model, arm.joint_map).loss)
+        self._loss = np.array(DryFriction.from_model(arm.model, arm.joint_map).loss)
         span = arm.limits.q_max - arm.limits.q_min
         self._margin = np.minimum(_RANGE_SHARE * span, _MAX_RANGE_MARGIN)
 

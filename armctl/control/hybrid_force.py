@@ -98,7 +98,7 @@ class HybridForce(ArmController):
         targets = {}
         for name, target in force.items():
             if name not in AXES:
-                raise UnknownNameError.of("axis", name, AXES)
+                raise UnknownNameError.from_known("axis", name, AXES)
             if AXES.index(name) >= task_rows(self._arm).stop:
                 raise InputError(f"force: an arm of {self.n} joints controls no moments, so {name} cannot be a force axis")
             targets[name] = number(f"force along {name}", target)

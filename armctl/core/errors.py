@@ -72,7 +72,7 @@ class UnknownNameError(ArmctlError, LookupError):
     """A name is unknown; the message suggests a similar one."""
 
     @classmethod
-    def of(cls, kind: str, name: str, known: Iterable[str], lister: str = "") -> UnknownNameError:
+    def from_known(cls, kind: str, name: str, known: Iterable[str], lister: str = "") -> UnknownNameError:
         """The error for an unknown name.
 
         Args:

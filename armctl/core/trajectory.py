@@ -67,7 +67,7 @@ class TickReference(NamedTuple):
     a_tick: Array  # the forward difference of v_tick, rad/s^2
 
     @classmethod
-    def of(cls, trajectory: Trajectory, dt: float, ticks: int, continuous: bool = False) -> TickReference:
+    def from_trajectory(cls, trajectory: Trajectory, dt: float, ticks: int, continuous: bool = False) -> TickReference:
         """Samples a trajectory at ticks of dt s from t = 0 on; it stands still before 0 and after its duration.
 
         v_tick has the differences of q; or v, where the arm moves on continuously between ticks.

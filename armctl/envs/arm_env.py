@@ -10,7 +10,7 @@ from armctl.core.errors import InputError
 from armctl.core.validation import as_array, flag, integer
 from armctl.envs.batch import Batch, action_space, observation_space
 from armctl.envs.screen import Screen
-from armctl.envs.tasks.interface import Robot
+from armctl.envs.tasks.task import RobotLike
 
 
 class ArmEnv(gymnasium.Env):
@@ -28,7 +28,7 @@ class ArmEnv(gymnasium.Env):
 
     def __init__(
         self,
-        robot: Robot = "panda",
+        robot: RobotLike = "panda",
         task: str = "Reach",
         action: str = "cartesian_delta",
         *,

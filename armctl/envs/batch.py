@@ -11,10 +11,10 @@ from armctl.core.errors import InputError
 from armctl.core.pose import matrix_from_quat
 from armctl.core.validation import Array, BoolArray, as_array, choice, flag, instance, integer, matrix, shown, vector
 from armctl.envs.actions import ACTION_MODES
+from armctl.envs.batch_simulation import BatchSimulation
 from armctl.envs.randomization import Randomization
-from armctl.envs.rows import Rows
 from armctl.envs.tasks import TASKS
-from armctl.envs.tasks.interface import ArmSource, Robot, Task
+from armctl.envs.tasks.task import ArmSource, RobotLike, Task
 from armctl.lab.study.factors import Range
 from armctl.model.collision.checkers import collision_checker
 from armctl.plan.ik.solve import solve_ik
@@ -26,7 +26,7 @@ _MIN_HORIZON = 50
 Observations = NDArray[np.float32]
 
 
-class Observer:
+class ObservationBuilder:
     """Makes observations of all rows.
 
     An observation has the positions and velocities of the joints, how far their targets are, the tip, what belongs to the task
@@ -34,7 +34,7 @@ class Observer:
     to it; velocity of the goal), the goal, and the vector from the controlled point to the goal.
     """
 
-    def __init__(self, task: Task, rows: Rows):
+    def __init__(self, task: Task, rows: BatchSimulation):
         n = task.arm.n
         widths = {"q": n, "v": n, "to_target": n, "tip": 3}
         if task.uses_gripper:
@@ -103,7 +103,7 @@ class Batch:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: RobotLike,
         task: str,
         action: str,
         count: int,
@@ -135,7 +135,7 @@ class Batch:
         self.step_time = ticks * self.arm.dt  # s, of a step
         shortest = max(_MIN_HORIZON, int(np.ceil(self.task.min_duration / self.step_time)))
         self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)  # steps of an episode
-        self.rows = Rows(
+        self.rows = BatchSimulation(
             self.task,
             mode,
             controller,
@@ -145,7 +145,7 @@ class Batch:
             has_contacts=has_contacts,
             randomization=self._randomization,
         )
-        self.observer = Observer(self.task, self.rows)  # what is observed
+        self.observer = ObservationBuilder(self.task, self.rows)  # what is observed
         self.goal = np.zeros((count, 3))  # (count, 3) m, the goal of each episode
         self.goal_number = np.zeros(count, np.int64)  # (count,) which of the task's goals it is
         self.obstacle = np.zeros((count, 3))  # (count, 3) m, the obstacle of each episode

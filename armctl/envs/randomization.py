@@ -41,7 +41,7 @@ class Randomization:
         allowed = (*_OF_PLANT, *(_OF_OBJECT if has_object else ()))
         for name, each in given.items():
             if name not in {*_OF_OBJECT, *PLANT_ATTRIBUTES}:
-                raise UnknownNameError.of("attribute that can vary", f"{name!s:.80}", allowed)
+                raise UnknownNameError.from_known("attribute that can vary", f"{name!s:.80}", allowed)
             if name not in allowed:
                 raise InputError(f"randomize: {name} cannot vary; {', '.join(allowed)} can")
             instance(f"randomize: {name}", each, Range, "armctl.Range(0.0, 0.5) is one")

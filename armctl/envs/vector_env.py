@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from armctl.core.errors import InputError
 from armctl.core.validation import flag, integer, shown
 from armctl.envs.batch import Batch, action_space, observation_space
-from armctl.envs.tasks.interface import Robot
+from armctl.envs.tasks.task import RobotLike
 from armctl.lab.study.factors import Range
 
 
@@ -31,7 +31,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
 
     def __init__(
         self,
-        robot: Robot = "panda",
+        robot: RobotLike = "panda",
         task: str = "Reach",
         action: str = "cartesian_delta",
         num_envs: int = 1,

@@ -220,7 +220,7 @@ def view(
         title: What the browser's tab shows.
     """
     if controller not in CONTROLLERS:  # before a browser opens
-        raise UnknownNameError.of("controller", controller, CONTROLLERS)
+        raise UnknownNameError.from_known("controller", controller, CONTROLLERS)
     if host is not None and not token:
         raise InputError("host: everybody who can reach the page can control the arm; give a token of at least 8 characters")
     with contextlib.ExitStack() as stack:

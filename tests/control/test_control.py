@@ -249,5 +249,5 @@ def test_operational_space_moves_the_tip_like_a_spring_for_any_posture(redundant
 
 
 def test_the_sampled_reference_is_the_velocity_that_a_discrete_arm_measures(bundled):
-    reference = TickReference.of(Sway(bundled), 0.002, 50)
+    reference = TickReference.from_trajectory(Sway(bundled), 0.002, 50)
     assert np.allclose(reference.v_tick[1:], np.diff(reference.q, axis=0) / 0.002)

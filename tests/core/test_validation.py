@@ -104,7 +104,7 @@ def test_a_message_of_any_error_has_one_line_and_at_most_400_characters():
         assert text.endswith("name another file")
         assert "\n" not in text
     assert str(InputError("short")) == "short"
-    assert len(str(armctl.UnknownNameError.of("robot", "r" * 5000, ["panda"]))) < 200
+    assert len(str(armctl.UnknownNameError.from_known("robot", "r" * 5000, ["panda"]))) < 200
 
 
 def test_a_choice_is_one_of_its_words():

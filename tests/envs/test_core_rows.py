@@ -13,7 +13,7 @@ import gymnasium
 import armctl
 import armctl.envs
 from armctl import _core
-from armctl.envs.rows import Rows
+from armctl.envs.batch_simulation import BatchSimulation
 from armctl.run.sim.mujoco_library import mujoco_api
 
 pytestmark = pytest.mark.core
@@ -28,7 +28,7 @@ def env():
     made.close()
 
 
-def remade(rows: Rows, **changes: object) -> _core.EnvironmentRows:
+def remade(rows: BatchSimulation, **changes: object) -> _core.EnvironmentRows:
     """The core's rows of an environment with other arguments."""
     made = {}
 

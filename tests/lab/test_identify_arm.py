@@ -15,7 +15,7 @@ from synthetic import BENT, limb, motors, serial_arm, ties
 import armctl
 from armctl.cli.main import main
 from armctl.core.filtering import derivatives
-from armctl.lab.identification.fit_rows import speeds_of_torques
+from armctl.lab.identification.fit_samples import speeds_of_torques
 from armctl.lab.identification.pseudo_inertia import from_log_cholesky, inertial_parameters, pseudo_inertia, to_log_cholesky
 from armctl.lab.identification.regressor import FrictionShape
 from armctl.model.arm.dynamics import Dynamics
@@ -490,7 +490,7 @@ def test_an_excitation_for_the_arm_starts_where_it_is_told_to(arms):
 def test_torques_act_at_the_speeds_before_and_after_mujocos_step(tmp_path):
     arm = serial_arm(tmp_path, BENT["rubbing"])
     log = armctl.simulate(arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home + 0.3))
-    friction = DryFriction.of(arm.model, arm.joint_map)
+    friction = DryFriction.from_model(arm.model, arm.joint_map)
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
     speeds = speeds_of_torques(friction, dynamics, log, log.q, *derivatives(log.q, log.dt))
     assert np.abs(log.v).max() > 0.5

@@ -160,7 +160,7 @@ def tick_reference(trajectory: Trajectory, dt: float, ticks: int | None = None, 
     check_trajectory(trajectory)
     period = number("dt", dt, 1e-6, MAX_PERIOD_S)
     count = round(trajectory.duration / period) + 1 if ticks is None else integer("ticks", ticks, 1)
-    rows = TickReference.of(trajectory, period, count, flag("continuous", continuous))
+    rows = TickReference.from_trajectory(trajectory, period, count, flag("continuous", continuous))
     return Reference(*(jnp.asarray(row) for row in rows))
 
 

@@ -2,11 +2,11 @@
 
 import gymnasium
 
-from armctl.envs.tasks.interface import Task
 from armctl.envs.tasks.pick_place import PickPlace
 from armctl.envs.tasks.push import PushTask
 from armctl.envs.tasks.reach import Reach
 from armctl.envs.tasks.reach_past import ReachPast
+from armctl.envs.tasks.task import Task
 from armctl.envs.tasks.track import Track
 
 TASKS: dict[str, type[Task]] = {task.name: task for task in (Reach, ReachPast, Track, PushTask, PickPlace)}

@@ -4,8 +4,8 @@ import numpy as np
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array
-from armctl.envs.tasks.interface import ArmSource, Episode, Task
 from armctl.envs.tasks.tabletop import Cylinder, find_table, load_at_table
+from armctl.envs.tasks.task import ArmSource, Episode, Task
 from armctl.envs.tasks.tool import find_grip, find_tool, jaw_center
 from armctl.plan.ik.problem import ik_chain
 

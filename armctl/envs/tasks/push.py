@@ -3,8 +3,8 @@
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.envs.tasks.interface import ArmSource, Episode, Task
 from armctl.envs.tasks.tabletop import Cylinder, find_table, load_at_table
+from armctl.envs.tasks.task import ArmSource, Episode, Task
 from armctl.envs.tasks.tool import find_grip, find_tool
 from armctl.model.mjmodel.queries import placed
 from armctl.plan.ik.problem import ik_chain

@@ -3,7 +3,7 @@
 import numpy as np
 
 from armctl.envs.actions import target_limits
-from armctl.envs.tasks.interface import ArmSource, Task, free_configurations
+from armctl.envs.tasks.task import ArmSource, Task, free_configurations
 
 _GOAL_SPREAD = 0.5  # rad (m), of all joints around home
 _GOALS = 2048

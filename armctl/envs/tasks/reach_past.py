@@ -7,7 +7,7 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
-from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
+from armctl.envs.tasks.task import ArmSource, Episode, Task, free_configurations
 from armctl.model.arm.arm import Arm
 from armctl.model.loading.scene import Scene
 from armctl.model.mjmodel.queries import acts

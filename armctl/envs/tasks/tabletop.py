@@ -11,7 +11,7 @@ from armctl.core.errors import InputError
 from armctl.core.pose import Pose, computed_pose, rotation_from_vector
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
-from armctl.envs.tasks.interface import ArmSource
+from armctl.envs.tasks.task import ArmSource
 from armctl.envs.tasks.tool import Tool
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import collision_checker

@@ -7,7 +7,7 @@ import numpy as np
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
-from armctl.envs.tasks.interface import ArmSource, Task, free_configurations
+from armctl.envs.tasks.task import ArmSource, Task, free_configurations
 from armctl.model.collision.checkers import collision_checker
 
 _PATHS = 128

@@ -8,7 +8,14 @@ import numpy as np
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.log import Log, LogSource
 from armctl.core.validation import Array, BoolArray, IntArray
-from armctl.lab.identification.fit_rows import LawFit, Rows, best_of, cost_of_damping, speeds_of_torques, squared_residual
+from armctl.lab.identification.fit_samples import (
+    FitSamples,
+    LawFit,
+    best_of,
+    cost_of_damping,
+    speeds_of_torques,
+    squared_residual,
+)
 from armctl.lab.identification.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
 from armctl.lab.identification.regressor import ArmRegressor, FrictionShape
 from armctl.model.arm.passive_forces import DryFriction
@@ -68,7 +75,7 @@ class ParameterFit:
         self.shape = FrictionShape(np.full(n, _SHAPE_SPEEDS[4]), np.full(n, _STRIBECK_SPEEDS[3]))
         self._sliding = np.zeros(n)
         is_law_known = is_simulated and not log.continuous and regressor.layout.has_friction
-        self._law = DryFriction.of(regressor.arm.model, regressor.arm.joint_map) if is_law_known else None
+        self._law = DryFriction.from_model(regressor.arm.model, regressor.arm.joint_map) if is_law_known else None
         self._slope = np.zeros(n) if self._law is None else self._law.slope  # N m s/rad
         self._bound = np.zeros(n)  # N m, of the damper with this slope
         self._scale = regressor.torque_scale()
@@ -145,20 +152,20 @@ class ParameterFit:
         return (np.clip(torque, -more, more) - np.clip(torque, -self._bound, self._bound)) / (more - self._bound)
 
     @property
-    def training(self) -> Rows:
+    def training(self) -> FitSamples:
         return self.rows.part(slice(0, self._count_used()))
 
     @property
-    def held_out(self) -> Rows:
+    def held_out(self) -> FitSamples:
         """The other rows, without a filter's length between."""
         gap = round(_ROWS_PER_PERIOD * _TRIMMED_PERIODS)
         return self.rows.part(slice(self._count_used() + gap, None))
 
-    def predicted(self, rows: Rows) -> Array:
+    def predicted(self, rows: FitSamples) -> Array:
         """(K, n) N m, by the fitted parameters."""
         return rows.model + rows.W @ (self.x - self.regressor.model_values)
 
-    def weighted(self, rows: Rows) -> Array:
+    def weighted(self, rows: FitSamples) -> Array:
         """(K n, p): the regressor in units of the noise of independent rows, for each standard deviation of the prior."""
         return (rows.W * self._weights(rows)[:, :, None]).reshape(-1, rows.W.shape[2]) * self.prior
 
@@ -173,7 +180,7 @@ class ParameterFit:
         W = np.concatenate([rows.W * weights[:, :, None] * self.regressor.prior, by_shape], axis=2).reshape(K * n, p + n)
         return np.asarray(np.linalg.inv(W.T @ W + np.eye(p + n))[:p, :p], dtype=np.float64)
 
-    def _weights(self, rows: Rows) -> Array:
+    def _weights(self, rows: FitSamples) -> Array:
         return rows.used / (self.noise * np.sqrt(self.inflation))
 
     def _drop_insignificant(self) -> None:
@@ -201,7 +208,7 @@ class ParameterFit:
         if self.regressor.layout.has_friction:
             self._improve_shape()
 
-    def _filtered_rows(self) -> Rows:
+    def _filtered_rows(self) -> FitSamples:
         """Regressor, model and torques through the same filter; torques moved back by the delay."""
         dt = self._dt * self._stride
         K, n, p = self._raw.shape
@@ -218,7 +225,7 @@ class ParameterFit:
         W = filtered[:, : n * p].reshape(K, n, p)
         model, v, start, by_shape, rest = np.split(filtered[:, n * p :], 5, axis=1)
         used = np.column_stack([self._slides(j, speed) for j, speed in enumerate(self._sliding)])
-        return Rows(
+        return FitSamples(
             t=times[rows],
             v=v[rows],
             tau=tau[rows],
@@ -252,7 +259,7 @@ class ParameterFit:
         rms = np.sqrt((residual**2).sum(axis=0) / np.maximum(training.used.sum(axis=0), 1.0))
         self.noise = np.maximum(rms, _MIN_NOISE_SHARE * self._scale)
 
-    def _improve_delay(self, rows: Rows) -> None:
+    def _improve_delay(self, rows: FitSamples) -> None:
         """A Gauss-Newton step: a delay d changes a torque by -d times its rate."""
         predicted = self.predicted(rows)
         weights = self._weights(rows)
@@ -377,18 +384,18 @@ class ParameterFit:
                 best = float(speed)
         return best
 
-    def _targets(self, rows: Rows) -> Array:
+    def _targets(self, rows: FitSamples) -> Array:
         """(K n,) what the start leaves of the torques, in units of the noise."""
         predicted = rows.model + rows.W @ (self.regressor.start - self.regressor.model_values)
         return (self._weights(rows) * (rows.tau - predicted)).ravel()
 
-    def _linear_solution(self, rows: Rows) -> Array:
+    def _linear_solution(self, rows: FitSamples) -> Array:
         """Least squares with the prior, without bounds."""
         W = self.weighted(rows)
         dx = np.linalg.solve(W.T @ W + np.eye(W.shape[1]), W.T @ self._targets(rows))
         return self.regressor.start + self.prior * dx
 
-    def _solution(self, rows: Rows) -> Array:
+    def _solution(self, rows: FitSamples) -> Array:
         """Least squares with the prior; friction and rotor inertias at least 0; physically consistent links on request."""
         from scipy.optimize import least_squares
 

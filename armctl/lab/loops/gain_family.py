@@ -42,7 +42,7 @@ def gain_family(arm: Arm, law: str, dt: float) -> GainFamily:
     """The gains of a tunable law, a name of `CONTROLLERS`, on an arm with a control period dt, s."""
     row = CONTROLLERS[law]
     if row.tunable_gains is None:
-        raise UnknownNameError.of("law", law, tunable_laws())
+        raise UnknownNameError.from_known("law", law, tunable_laws())
     defaults = row.tunable_gains(arm, dt)
     slices: dict[str, slice] = {}
     size = 0

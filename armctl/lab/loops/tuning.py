@@ -162,7 +162,7 @@ def tune(
     """
     check_arm(arm)
     if not isinstance(law, str) or law not in tunable_laws():
-        raise UnknownNameError.of("law", law, tunable_laws())
+        raise UnknownNameError.from_known("law", law, tunable_laws())
     if not isinstance(plants, Sequence):
         raise InputError(f"plants: expected a list of plants, such as [armctl.Plant(payload=1.0)], got {shown(plants)}")
     bounds = _Bounds(

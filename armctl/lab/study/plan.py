@@ -94,7 +94,7 @@ class StudyPlan:
         known = set(cls.__dataclass_fields__)
         unknown = sorted(set(values) - known, key=str)
         if unknown:
-            raise UnknownNameError.of("entry of a study", str(unknown[0]), sorted(known))
+            raise UnknownNameError.from_known("entry of a study", str(unknown[0]), sorted(known))
         missing = [name for name in ("name", "robot") if name not in values]
         if missing:
             raise InputError(f"study: there is no {missing[0]!r}")
@@ -250,5 +250,5 @@ def _motion(value: Any) -> dict[str, Any]:
 def _factor_name(name: Any) -> str:
     known = [*PLANT_FACTORS, *OTHER_FACTORS]
     if not isinstance(name, str) or not (name in known or name.startswith(CONTROLLER_FACTOR)):
-        raise UnknownNameError.of("factor", name, known)
+        raise UnknownNameError.from_known("factor", name, known)
     return name

@@ -303,7 +303,7 @@ class StudyResult(Verdict):
             return self._labels[0]
         instance("controller", label, str, "give a label of the study's controllers")
         if label not in self.study.controllers:
-            raise UnknownNameError.of("controller of the study", label, self._labels)
+            raise UnknownNameError.from_known("controller of the study", label, self._labels)
         return label
 
     def _check(self, what: str, metric: str) -> None:

@@ -201,7 +201,7 @@ def make_controller(label: str, spec: Mapping[str, Any], arm: Arm) -> Controller
     name = spec["controller"]
     make = _imported(name) if ":" in name else CONTROLLERS.get(name)
     if make is None:
-        raise UnknownNameError.of("controller", name, CONTROLLERS)
+        raise UnknownNameError.from_known("controller", name, CONTROLLERS)
     arguments = {key: value for key, value in spec.items() if key != "controller"}
     try:
         return make(arm, **arguments)

@@ -44,7 +44,7 @@ def model_arrays(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> dict
     joint_map = pinocchio_model.joint_map
     pin_model = pinocchio_model.pin_model
     passive = PassiveForces(model, joint_map)
-    friction = DryFriction.of(model, joint_map)
+    friction = DryFriction.from_model(model, joint_map)
     integrator = Integrator.from_model(model)
     # Joint 0 of Pinocchio is the world.
     placements = pin_model.jointPlacements[1:]

@@ -41,7 +41,7 @@ class Dynamics:
         passive = PassiveForces(model, joint_map)
         self._joint_map = joint_map
         self._passive = passive
-        self._dry_friction = DryFriction.of(model, joint_map)
+        self._dry_friction = DryFriction.from_model(model, joint_map)
         self.damping = passive.damping  # (n,) N m s/rad, linear viscous damping of the joints
         self.friction_loss = self._dry_friction.loss  # (n,) N m, dry friction of the joints
         self._model = pinocchio_model.pin_model

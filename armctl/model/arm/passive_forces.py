@@ -30,7 +30,7 @@ def set_dry_friction(model: mujoco.MjModel, joint_map: JointMap, loss: Array, sl
     """
     dofs = joint_map.dof_adr[joint_map.leaders]
     model.dof_frictionloss[dofs] = loss
-    law = DryFriction.of(model, joint_map)
+    law = DryFriction.from_model(model, joint_map)
     ratio = slope / law.rate * np.maximum(model.dof_invweight0[dofs], MIN_INVERSE_INERTIA)
     known = slope > 0
     model.dof_solimp[dofs[known], 0] = (ratio / (1 + ratio))[known]
@@ -85,7 +85,7 @@ class DryFriction:
     rate: Array  # (n,) 1/s, the damping b of the constraint
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, joint_map: JointMap) -> DryFriction:
+    def from_model(cls, model: mujoco.MjModel, joint_map: JointMap) -> DryFriction:
         """The dry friction of the joints that an arm moves; gain and rate are those at zero constraint violation."""
         enabled = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         enabled &= is_enabled(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)

@@ -304,7 +304,8 @@ def _geoms_named(model: mujoco.MjModel, name: str) -> list[int]:
     geom = object_id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
     if geom < 0:
         bodies = [model.body(i).name for i in range(1, model.nbody)]
-        raise UnknownNameError.of("body or geom in allow", name, [*bodies, *(model.geom(i).name for i in range(model.ngeom))])
+        geoms = [model.geom(i).name for i in range(model.ngeom)]
+        raise UnknownNameError.from_known("body or geom in allow", name, [*bodies, *geoms])
     return [geom]
 
 

@@ -33,7 +33,7 @@ def read_kept_axis(arm: Arm, keep: str | None, keep_within: float, q: Array) -> 
     if keep is None:
         return None
     if not isinstance(keep, str) or keep not in ("x", "y", "z"):
-        raise UnknownNameError.of("axis to keep", f"{keep!s:.80}", ["x", "y", "z"])
+        raise UnknownNameError.from_known("axis to keep", f"{keep!s:.80}", ["x", "y", "z"])
     return KeptAxis(keep, arm.tip_body, q, arm.fk(q).rotation[:, "xyz".index(keep)], within)
 
 

@@ -184,7 +184,7 @@ def _in_menagerie(given: str, tool: bool) -> Source:
         raise _unknown(given, tool)
     row = menagerie.get(name)
     if entry and entry not in row.entry_names:
-        raise UnknownNameError.of(f"entry point of {name}", entry, row.entry_names)
+        raise UnknownNameError.from_known(f"entry point of {name}", entry, row.entry_names)
     try:
         _check_network(row)
         path = row.xml(entry or (row.default_model if tool else row.default_scene))
@@ -208,8 +208,8 @@ def _unknown(given: str, tool: bool) -> ArmctlError:
     if os.path.isdir(path):
         return ModelError(f"{shown_path(path)}: a folder, not an .xml or .urdf file")
     if tool:
-        return UnknownNameError.of("tool", given, [r.name for r in menagerie.robots("end_effector")])
-    return UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()], "`armctl robots`")
+        return UnknownNameError.from_known("tool", given, [r.name for r in menagerie.robots("end_effector")])
+    return UnknownNameError.from_known("robot", given, [BUNDLED, *ALIASES, *menagerie.names()], "`armctl robots`")
 
 
 def robots() -> dict[str, str]:
@@ -288,7 +288,7 @@ def description_file(name: str) -> Path:
         module.name for module in pkgutil.iter_modules(package.submodule_search_locations) if is_description_name(module.name)
     ]
     if name not in known:
-        raise UnknownNameError.of("robot of robot_descriptions", name, known)
+        raise UnknownNameError.from_known("robot of robot_descriptions", name, known)
     try:
         module = importlib.import_module(f"{_PACKAGE}.{name}")
     except Exception as error:  # importing it clones a repository, which can fail in any way

@@ -82,7 +82,7 @@ def named_tip(model: mujoco.MjModel, name: str) -> Tip:
     if geom >= 0:
         return Tip(name, int(model.geom_bodyid[geom]), Pose(model.geom_pos[geom], model.geom_quat[geom]))
     known = [model.site(i).name for i in range(model.nsite)] + [model.body(i).name for i in range(1, model.nbody)]
-    raise UnknownNameError.of("site, body or geom", name, filter(None, known))
+    raise UnknownNameError.from_known("site, body or geom", name, filter(None, known))
 
 
 def _end_body(model: mujoco.MjModel, bodies: list[int]) -> int:

@@ -39,7 +39,7 @@ def body_named(model: mujoco.MjModel, name: str) -> int:
     """The number of the body of a name; UnknownNameError if there is none."""
     body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 0:
-        raise UnknownNameError.of("body", name, filter(None, (model.body(i).name for i in range(model.nbody))))
+        raise UnknownNameError.from_known("body", name, filter(None, (model.body(i).name for i in range(model.nbody))))
     return body
 
 

@@ -172,7 +172,7 @@ class InverseDynamics:
 
     def __init__(self, arm: Arm):
         self._model = arm.core_model
-        self._friction = DryFriction.of(arm.model, arm.joint_map)
+        self._friction = DryFriction.from_model(arm.model, arm.joint_map)
         self.damping = PassiveForces(arm.model, arm.joint_map).damping_torque
         self.friction_loss = self._friction.loss
 

@@ -294,7 +294,7 @@ def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: 
 def _body(arm: Arm, name: str) -> int:
     body = object_id(arm.model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 1:
-        raise UnknownNameError.of("body to hold", name, [arm.model.body(i).name for i in range(1, arm.model.nbody)])
+        raise UnknownNameError.from_known("body to hold", name, [arm.model.body(i).name for i in range(1, arm.model.nbody)])
     return body
 
 

@@ -138,13 +138,13 @@ class ContactReaction:
         except PlanError:
             stop = trajectory
         ticks = int(np.ceil(stop.duration / dt)) + 1
-        rest = TickReference.of(stop, dt, ticks, state.continuous)
+        rest = TickReference.from_trajectory(stop, dt, ticks, state.continuous)
         if ticks > tick:
             run(controller, _section(rest, tick, ticks), recorder)
         back = self.way_back(self._arm, trajectory, reached, stop(stop.duration).q)
         if back is not None:
             ticks = int(np.ceil(back.duration / dt)) + 1
-            run(controller, TickReference.of(back, dt, ticks, state.continuous), recorder)
+            run(controller, TickReference.from_trajectory(back, dt, ticks, state.continuous), recorder)
         if self.reaction == "float" and self.duration > 0.0:
             nothing = np.full((max(1, round(self.duration / dt)), self._arm.n), np.nan)
             run(HandGuiding(self._arm), TickReference(nothing, nothing, nothing, nothing, nothing), recorder)

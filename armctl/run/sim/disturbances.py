@@ -39,7 +39,7 @@ class Disturbances:
         """The disturbances of a run that starts now."""
         plant = built.plant
         n = built.actuation.n
-        timing = built.train.sensors
+        timing = built.drivetrain.sensors
         self._built = built
         self._is_noisy = bool(plant.encoder_noise or plant.velocity_noise)
         self._is_late = bool(plant.sensor_delay or timing.is_late)
@@ -53,7 +53,7 @@ class Disturbances:
         self.delay.restart(plant.delay)
         # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
         self.sensors = _core.Sensors(
-            **built.train.addresses,
+            **built.drivetrain.addresses,
             dt=built.dt,
             steps=encoder_steps(plant, built.actuation.units) if plant.encoder_bits else None,
             is_at_motors=plant.encoder_side == "motor",
@@ -144,7 +144,7 @@ class Disturbances:
         """(T, n) by how many ticks is old what is read at times, s."""
         built = self._built
         ticks = np.round(times / built.dt).astype(np.int64)
-        return np.ascontiguousarray(built.plant.sensor_delay + built.train.sensors.ages(ticks, built.dt))
+        return np.ascontiguousarray(built.plant.sensor_delay + built.drivetrain.sensors.ages(ticks, built.dt))
 
     def _wrenches(self, times: Array) -> Array:
         """(T, 6) the wrench of the pushes at times, s."""
@@ -158,7 +158,7 @@ def disturbances_of(built: PlantModel) -> Disturbances | None:
     """The disturbances of a run that starts now; None if the plant has none."""
     plant = built.plant
     is_disturbed = plant.has_signal_disturbances or plant.jitter or plant.sensor_delay or plant.encoder_bits
-    is_late = built.train.sensors.is_late or built.train.extra_joints
+    is_late = built.drivetrain.sensors.is_late or built.drivetrain.extra_joints
     return Disturbances(built) if is_disturbed or plant.joint_torque is not None or is_late else None
 
 

@@ -216,16 +216,16 @@ def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrai
     )
 
 
-def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: Sequence[Arm], train: Drivetrain) -> None:
+def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: Sequence[Arm], drivetrain: Drivetrain) -> None:
     """Gives a model by `new_model` the rotors' inertias, the springs and gaps of a plant, in place; before `mj_setConst`."""
-    if not train.rotors:
+    if not drivetrain.rotors:
         return
-    dofs = train.actuation.dof_adr[train.owners]
-    rotors = train.motor_dof[train.owners]
-    given = per_joint("rotor_inertia", plant.rotor_inertia, arms)[train.owners]
+    dofs = drivetrain.actuation.dof_adr[drivetrain.owners]
+    rotors = drivetrain.motor_dof[drivetrain.owners]
+    given = per_joint("rotor_inertia", plant.rotor_inertia, arms)[drivetrain.owners]
     inertia = np.where(given > 0.0, given, model.dof_armature[dofs])
     if not (inertia > 0.0).all():
-        name = train.actuation.joint_names[train.owners[int(inertia.argmin())]]
+        name = drivetrain.actuation.joint_names[drivetrain.owners[int(inertia.argmin())]]
         raise InputError(f"elasticity: {name:.60} has no rotor inertia in the model; give rotor_inertia, kg m^2 at the joint")
     model.dof_armature[rotors] = inertia
     model.dof_armature[dofs] = 0.0
@@ -233,8 +233,8 @@ def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: S
         friction[rotors] = friction[dofs]
         friction[dofs] = 0.0
     tendons = model.ntendon - len(rotors) + np.arange(len(rotors))
-    stiffness = per_joint("elasticity", plant.elasticity, arms)[train.owners]
-    gap = 0.5 * per_joint("backlash", plant.backlash, arms)[train.owners]
+    stiffness = per_joint("elasticity", plant.elasticity, arms)[drivetrain.owners]
+    gap = 0.5 * per_joint("backlash", plant.backlash, arms)[drivetrain.owners]
     is_spring = stiffness > 0.0
     both = np.column_stack([-gap, gap])
     model.tendon_stiffness[tendons] = stiffness
@@ -244,35 +244,35 @@ def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: S
     model.tendon_solref_lim[tendons] = (2 * model.opt.timestep, 1.0)
 
 
-def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train: Drivetrain) -> None:
+def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, drivetrain: Drivetrain) -> None:
     """Gives a model what follows from its inertias, in place: damping of the springs, friction, windings."""
-    if train.rotors:
-        dofs = train.actuation.dof_adr[train.owners]
+    if drivetrain.rotors:
+        dofs = drivetrain.actuation.dof_adr[drivetrain.owners]
         tendons = model.ntendon - len(dofs) + np.arange(len(dofs))
         stiffness = model.tendon_stiffness[tendons]
-        mobility = model.dof_invweight0[dofs] + 1 / model.dof_armature[train.motor_dof[train.owners]]
+        mobility = model.dof_invweight0[dofs] + 1 / model.dof_armature[drivetrain.motor_dof[drivetrain.owners]]
         model.tendon_damping[tendons] = 2 * plant.elastic_damping * np.sqrt(stiffness / mobility)
         rate = np.sqrt(stiffness * mobility)
         worst = int(rate.argmax())
         if rate[worst] * model.opt.timestep > _MAX_SPRING_RATE:
-            name = train.actuation.joint_names[train.owners[worst]]
+            name = drivetrain.actuation.joint_names[drivetrain.owners[worst]]
             bound = stiffness[worst] * (_MAX_SPRING_RATE / (rate[worst] * model.opt.timestep)) ** 2
             raise InputError(
                 f"elasticity: {stiffness[worst]:.4g} N m/rad of {name:.60} is too stiff for steps of "
                 f"{1e3 * model.opt.timestep:.3g} ms, at most {bound:.3g}; lower it, or take continuous=True or a shorter step"
             )
     if plant.friction == "lugre":
-        for k, dof in enumerate(train.motor_dof.tolist()):
+        for k, dof in enumerate(drivetrain.motor_dof.tolist()):
             coulomb = float(model.dof_frictionloss[dof])
             inertia = 1 / float(model.dof_invweight0[dof])
             most = inertia * (_MAX_BRISTLE_RATE / model.opt.timestep) ** 2
             stiffness = min(plant.stiction * coulomb / _BRISTLE_DEFLECTION, most)
             damping = np.sqrt(stiffness * inertia)
-            actuator = model.nactuator - train.actuation.n + k
+            actuator = model.nactuator - drivetrain.actuation.n + k
             set_friction(model, actuator, stiffness, damping, coulomb, plant.stiction * coulomb, _STRIBECK_SPEED)
             model.dof_frictionloss[dof] = 0.0
     if plant.motor > 0.0:
-        for motor in train.actuation.motor_adr.tolist():
+        for motor in drivetrain.actuation.motor_adr.tolist():
             set_time_constant(model.actuator(motor), plant.motor)
 
 

@@ -315,12 +315,12 @@ class Brake:
 
 
 def apply_plant(
-    model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm], train: Drivetrain | None = None
+    model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm], drivetrain: Drivetrain | None = None
 ) -> None:
     """Gives a model by `new_model` the differences of a plant, instead of those that it has; no joint is braked then.
 
     A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant; the state in its
-    data is lost. A payload hangs at the first arm's tip. `train` is the drivetrain of the model, if the caller knows it.
+    data is lost. A payload hangs at the first arm's tip. `drivetrain` is the drivetrain of the model, if the caller knows it.
     """
     for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
         values = getattr(arms[0].model, name)
@@ -346,16 +346,16 @@ def apply_plant(
     dofs = np.concatenate([arm.dof_adr for arm in arms])
     for what, column in (("coulomb_friction", model.dof_frictionloss), ("viscous_friction", model.dof_damping)):
         column[dofs] += per_joint(what, getattr(plant, what), arms)
-    train = drivetrain_of(arms, plant) if train is None else train
-    apply_drivetrain(model, plant, arms, train)
+    drivetrain = drivetrain_of(arms, plant) if drivetrain is None else drivetrain
+    apply_drivetrain(model, plant, arms, drivetrain)
     mujoco.mj_setConst(model, data)
     if plant.continuous:
-        damped = np.concatenate([dofs, train.motor_dof])
+        damped = np.concatenate([dofs, drivetrain.motor_dof])
         rate = (model.dof_damping * model.dof_invweight0)[damped].max()  # 1/s, of the fastest damped joint
         step = _CONTINUOUS_STEP_S / max(1.0, _CONTINUOUS_STEP_S * rate)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         model.opt.timestep /= math.ceil(model.opt.timestep / step - 1e-9)
-    finish_drivetrain(model, plant, train)
+    finish_drivetrain(model, plant, drivetrain)
     for arm in arms:
         _limit_motors(model, arm)
     _check_history(model)

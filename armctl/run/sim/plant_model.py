@@ -28,7 +28,7 @@ class PlantModel:
     structure: Structure  # what the plant adds to the arms' model
     model: mujoco.MjModel
     data: mujoco.MjData
-    train: Drivetrain
+    drivetrain: Drivetrain
     held: IntArray  # addresses in qvel of the joints that belong to none of the arms
     brake: Brake  # of these
     pushed_arm: _core.ArmModel  # the first one, at whose tip payload and pushes act
@@ -37,18 +37,18 @@ class PlantModel:
     substeps: int  # steps of MuJoCo in a tick
 
     @classmethod
-    def of(cls, arms: Sequence[Arm], plant: Plant, before: PlantModel | None = None) -> PlantModel:
+    def from_arms(cls, arms: Sequence[Arm], plant: Plant, before: PlantModel | None = None) -> PlantModel:
         """The model of a plant; that of another plant of the same arms becomes it, if it has the same structure."""
         structure = structure_of(arms, plant)
         if before is not None and before.structure == structure:
             model = before.model
             data = before.data
-            train = before.train
+            drivetrain = before.drivetrain
         else:
             model = new_model(arms, plant)
             data = mujoco.MjData(model)
-            train = drivetrain_of(arms, plant)
-        apply_plant(model, data, plant, arms, train)
+            drivetrain = drivetrain_of(arms, plant)
+        apply_plant(model, data, plant, arms, drivetrain)
         held = held_dofs(*arms) if before is None else before.held
         dt = arms[0].dt if plant.timestep is None else plant.timestep
         return cls(
@@ -56,7 +56,7 @@ class PlantModel:
             structure=structure,
             model=model,
             data=data,
-            train=train,
+            drivetrain=drivetrain,
             held=held,
             brake=Brake(model, held),
             pushed_arm=arms[0].core_model,
@@ -73,17 +73,17 @@ class PlantModel:
     @property
     def actuation(self) -> Actuation:
         """The driven joints of all arms."""
-        return self.train.actuation
+        return self.drivetrain.actuation
 
     @property
     def q(self) -> Array:
         """(n,) rad, of the links."""
-        return self.train.link_positions(self.data.qpos)
+        return self.drivetrain.link_positions(self.data.qpos)
 
     @property
     def v(self) -> Array:
         """(n,) rad/s, of the links."""
-        return self.train.link_speeds(self.data.qvel)
+        return self.drivetrain.link_speeds(self.data.qvel)
 
     @property
     def motor_torque(self) -> Array:

@@ -79,7 +79,7 @@ class _References:
         grid = (dt, ticks, continuous)
         if self._sampled is not None and self._sampled[0] is trajectory and self._sampled[1] == grid:
             return self._sampled[2]
-        reference = TickReference(*map(read_only, TickReference.of(trajectory, *grid)))
+        reference = TickReference(*map(read_only, TickReference.from_trajectory(trajectory, *grid)))
         is_immutable = isinstance(trajectory, JointTrajectory)  # others may be a user's
         self._sampled = (trajectory, grid, reference) if is_immutable and ticks <= _MAX_KEPT_TICKS else None
         return reference
@@ -120,7 +120,7 @@ class Stepper:
         self._home_qpos = arms[0].home_qpos
         self._home_ctrl = arms[0].home_ctrl
         self._references = _References()
-        self._built = PlantModel.of(arms, plant)
+        self._built = PlantModel.from_arms(arms, plant)
         self._wrench_sensor = WrenchSensor(arms, self._built)
         self._loop = TickLoop(self._built, self._wrench_sensor)
         self._run = _RunState(self._home, None)
@@ -128,7 +128,7 @@ class Stepper:
 
     def set_plant(self, plant: Plant, arms: Sequence[Arm]) -> None:
         """Gives the same simulated arms another plant. The state is lost: call `reset` afterwards."""
-        self._built = PlantModel.of(arms, plant, self._built)
+        self._built = PlantModel.from_arms(arms, plant, self._built)
         self._wrench_sensor = WrenchSensor(arms, self._built)
         self._loop = TickLoop(self._built, self._wrench_sensor)
 
@@ -197,7 +197,7 @@ class Stepper:
     def _true_state(self) -> State:
         """The state without the wrench."""
         built = self._built
-        deflection = built.train.deflection(built.data)
+        deflection = built.drivetrain.deflection(built.data)
         return State(built.q, built.v, float(built.data.time), built.dt, built.continuous, None, deflection)
 
     @property
@@ -237,7 +237,7 @@ class Stepper:
         built.actuation.joint_map.set_positions(built.data.qpos, q)
         built.actuation.joint_map.set_speeds(built.data.qvel, v)
         built.data.ctrl[:] = self._home_ctrl
-        built.train.settle(built.model, built.data)
+        built.drivetrain.settle(built.model, built.data)
         mujoco.mj_forward(built.model, built.data)
         self._wrench_sensor.reset()
         self._run = _RunState(q, disturbances_of(built))
@@ -248,7 +248,7 @@ class Stepper:
             self.data.eq_active[:] = self.model.eq_active0
 
     def recorder(self) -> Recorder:
-        return Recorder(self.model, self.actuation, self._references.tips, self._built.train.link_positions)
+        return Recorder(self.model, self.actuation, self._references.tips, self._built.drivetrain.link_positions)
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
         """The first `ticks` ticks of a trajectory. The last motion is kept on its ticks: many runs follow the same one."""

@@ -199,5 +199,5 @@ class Team:
 
     def _known(self, tip: object) -> str:
         if not isinstance(tip, str) or tip not in self.arms:
-            raise UnknownNameError.of("tip", tip, self.arms)  # type: ignore[arg-type]
+            raise UnknownNameError.from_known("tip", tip, self.arms)  # type: ignore[arg-type]
         return tip

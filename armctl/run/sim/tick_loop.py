@@ -37,7 +37,7 @@ class TickLoop:
             mujoco_api(),
             built.model,
             built.data,
-            **built.train.addresses,
+            **built.drivetrain.addresses,
             pushed_arm=built.pushed_arm,
             substeps=built.substeps,
             dt=built.dt,

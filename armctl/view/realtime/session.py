@@ -173,7 +173,7 @@ class RealTimeSession:
         It also ends DIVERGED and FAILED.
         """
         if keyframe and keyframe not in self.keyframes:
-            raise UnknownNameError.of("keyframe", keyframe, self.keyframes)
+            raise UnknownNameError.from_known("keyframe", keyframe, self.keyframes)
 
         def restart() -> None:
             self._restart(keyframe)

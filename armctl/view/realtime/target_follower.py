@@ -48,7 +48,7 @@ class PlannedPath:
     duration: float  # s, at full speed
 
     @classmethod
-    def of(cls, arm: Arm, trajectory: Trajectory) -> PlannedPath:
+    def from_trajectory(cls, arm: Arm, trajectory: Trajectory) -> PlannedPath:
         """The path of a motion of an arm."""
         q = trajectory.sample(np.linspace(0.0, trajectory.duration, PATH_POINTS)).q
         positions, _ = arm.fk_many(q)
@@ -309,7 +309,7 @@ class TargetFollower:
             self._finished = True
             return
         if self.path is None:
-            self.path = PlannedPath.of(self.arm, trajectory)
+            self.path = PlannedPath.from_trajectory(self.arm, trajectory)
         if self.reference.is_at_rest:
             self._request = None
             self._finished = True

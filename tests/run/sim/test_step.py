@@ -30,7 +30,7 @@ def two_joints(load) -> armctl.Arm:
 def stepped(sim: Simulation, motion: armctl.Trajectory) -> armctl.Log:
     """The log of a loop around `sim.step` that does what `sim.run` does."""
     controller = ComputedTorque(sim.arm)
-    reference = TickReference.of(motion, sim.dt, ticks_for(motion.duration, sim.dt), sim.state.continuous)
+    reference = TickReference.from_trajectory(motion, sim.dt, ticks_for(motion.duration, sim.dt), sim.state.continuous)
     state = sim.measured_state
     for row in zip(*reference, strict=True):
         state = sim.step(controller.torque(state, Setpoint(*row)))

@@ -18,7 +18,7 @@ _VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction fol
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class FitSamples:
     t: Array  # (K,) s
     v: Array  # (K, n) rad/s
     tau: Array  # (K, n) N m, measured
@@ -31,8 +31,8 @@ class Rows:
     def __len__(self) -> int:
         return len(self.t)
 
-    def part(self, rows: slice) -> Rows:
-        return Rows(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+    def part(self, rows: slice) -> FitSamples:
+        return FitSamples(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
 class Speeds(NamedTuple):

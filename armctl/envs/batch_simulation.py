@@ -11,9 +11,9 @@ from armctl.control.interface import State, has_compiled_law
 from armctl.core.log import SimulationError
 from armctl.core.validation import Array, IntArray
 from armctl.envs.actions import ActionMode, smoothing_ticks, target_limits
+from armctl.envs.arm_copies import ArmCopies
 from armctl.envs.randomization import ObjectFactors, Randomization
-from armctl.envs.simulated_arms import SimulatedArms
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.task import Episode, Task
 from armctl.run.sim.mujoco_library import mujoco_api
 from armctl.run.sim.plant import NOMINAL, Plant
 
@@ -22,7 +22,7 @@ _MAX_SHARE_PER_TICK = 0.2
 _IK_DAMPING = 1e-4  # of J J^T, whose entries are squares of m and rad
 
 
-class Signals:
+class EncoderNoise:
     """Noise of what is measured on several copies of an arm in the next step.
 
     The velocity is differenced from the measured positions, as that of `Plant` without a velocity sensor.
@@ -58,7 +58,7 @@ class Signals:
         return q + self.noise[:, -1, 0] if len(self.noise) else q
 
 
-class Rows:
+class BatchSimulation:
     """Several copies of an arm, each with its own plant, state and target."""
 
     def __init__(
@@ -81,7 +81,7 @@ class Rows:
         self.ticks = ticks  # control periods in a step
         self.mode = mode  # what the actions mean
         # What disturbs measurements and commands
-        self.signals = Signals(count, ticks, n, arm.dt, is_noisy=randomization.is_noisy)
+        self.signals = EncoderNoise(count, ticks, n, arm.dt, is_noisy=randomization.is_noisy)
         limits = target_limits(arm)
         # (5, n) least and greatest position, greatest speed, acceleration and torque
         self.limits = np.array([limits.q_min, limits.q_max, limits.v_max, limits.a_max, limits.tau_max])
@@ -99,7 +99,7 @@ class Rows:
         self._grip = task.grip if task.uses_gripper else None
         self._cuts = np.linspace(0, count, threads + 1).astype(int).tolist()
         # The models and states of the copies
-        self.simulated = SimulatedArms(task, np.diff(self._cuts), has_contacts=has_contacts)
+        self.simulated = ArmCopies(task, np.diff(self._cuts), has_contacts=has_contacts)
         law = controller_by_name(controller, arm)
         assert has_compiled_law(law, n)  # as all controllers that have a name
         self._core = self._core_rows(law.begin(State(arm.home, np.zeros(n), 0.0, arm.dt)), randomization.max_delay)

@@ -8,14 +8,14 @@ import numpy as np
 
 from armctl.core.validation import Array, IntArray
 from armctl.envs.randomization import ObjectFactors
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.task import Episode, Task
 from armctl.run.sim.gripper.model import make_usable
 from armctl.run.sim.plant import NOMINAL, Plant, apply_plant, brake, held_dofs
 
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)  # quaternion
 
 
-class SimulatedArms:
+class ArmCopies:
     """Several copies of an arm on `mj_step`. Those of a thread share a model until one gets a plant or an object of its own."""
 
     def __init__(self, task: Task, counts: Sequence[int] | IntArray, *, has_contacts: bool):
@@ -27,7 +27,7 @@ class SimulatedArms:
         self._uses_gripper = task.uses_gripper
         held = held_dofs(arm)
         self._held = np.setdiff1d(held, task.grip.model.dofs) if task.grip is not None and task.uses_gripper else held
-        self._thing = arm.model.body(task.object).id if task.object else -1
+        self._object = arm.model.body(task.object).id if task.object else -1
         self._mocap = int(arm.model.body(task.obstacle).mocapid[0]) if task.obstacle else -1
         self._nominal = copy.copy(arm.model)
         self._set_plant(self._nominal, NOMINAL)
@@ -59,7 +59,7 @@ class SimulatedArms:
             data.qpos[self._grip.qpos_adr] = state.qpos[self._grip.qpos_adr]
             data.ctrl[self._grip.indices[0]] = self._grip.ends[1 if self._uses_gripper else 0]
         if episode.object is not None and self.object_addresses is not None:
-            geom = model.body_geomadr[self._thing]
+            geom = model.body_geomadr[self._object]
             raised = model.geom_size[geom, 1] - self._nominal.geom_size[geom, 1]  # a larger one stands on the same table
             address = self.object_addresses[0]
             data.qpos[address : address + 3] = episode.object + np.array([0.0, 0.0, raised])
@@ -79,9 +79,9 @@ class SimulatedArms:
     @property
     def object_addresses(self) -> tuple[int, int] | None:
         """Where the loose object begins in qpos and in qvel; None without one."""
-        if self._thing < 0:
+        if self._object < 0:
             return None
-        joint = self._arm.model.body_jntadr[self._thing]
+        joint = self._arm.model.body_jntadr[self._object]
         return int(self._arm.model.jnt_qposadr[joint]), int(self._arm.model.jnt_dofadr[joint])
 
     @property
@@ -99,7 +99,7 @@ class SimulatedArms:
             self._models[row] = copy.copy(self._nominal)
             self._datas[row] = mujoco.MjData(self._models[row])
         self._set_plant(self._models[row], plant)
-        if self._thing >= 0:
+        if self._object >= 0:
             self._set_object(self._models[row], factors)
             mujoco.mj_setConst(self._models[row], self._datas[row])
 
@@ -114,7 +114,7 @@ class SimulatedArms:
     def _set_object(self, model: mujoco.MjModel, factors: ObjectFactors) -> None:
         """Sets size, mass and friction of the loose object, which has one geom."""
         nominal = self._nominal
-        body = self._thing
+        body = self._object
         geom = model.body_geomadr[body]
         box = model.body_bvhadr[body]
         model.geom_size[geom] = factors.object_size * nominal.geom_size[geom]

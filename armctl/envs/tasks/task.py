@@ -24,13 +24,13 @@ _DISTANCE_WEIGHT = 5.0  # 1/m
 _TOUCH_COST = 1.0
 _START_SPREAD = 0.1  # rad (m), of all joints around the start
 _MAX_DRAWS = 20
-Robot = str | os.PathLike[str] | mujoco.MjSpec | Arm
+RobotLike = str | os.PathLike[str] | mujoco.MjSpec | Arm
 
 
 class ArmSource:
     """A robot that can be loaded, or an arm that was loaded."""
 
-    def __init__(self, robot: Robot, load_options: Mapping[str, Any] | None):
+    def __init__(self, robot: RobotLike, load_options: Mapping[str, Any] | None):
         """An arm, or what `armctl.load` takes, with the keyword arguments of `armctl.load` except its scene.
 
         InputError for another type, a scene among the options, or options for an arm that was loaded.
