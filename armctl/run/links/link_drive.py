@@ -106,7 +106,7 @@ class LinkDrive:
         return LinkRecorder(self._mirror, self.actuation, self._tips, self.dt)
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
-        rows = TickReference.of(trajectory, self.dt, ticks, self.continuous)
+        rows = TickReference.from_trajectory(trajectory, self.dt, ticks, self.continuous)
         self._trajectory = (rows, trajectory)
         return rows
 
