@@ -20,13 +20,20 @@ class _Mark(NamedTuple):
     simulated: float
 
 
+def checked_speed(speed: float) -> float:
+    """Simulated seconds per second, in [0.001, 1000]."""
+    return number("speed", speed, MIN_SPEED, MAX_SPEED)
+
+
 class RealTimeClock:
     """Waits so that simulated time passes as fast as wall-clock time, times `speed`. After a delay it catches up."""
 
     def __init__(self, speed: float = 1.0):
         """A clock that starts now, with so many simulated seconds per second, in [0.001, 1000]."""
-        self.speed = speed
-        self.restart()
+        self._speed = checked_speed(speed)
+        self._due = time.perf_counter()
+        self._simulated = 0.0
+        self._marks = deque([_Mark(self._due, 0.0)])
 
     @property
     def speed(self) -> float:
@@ -35,7 +42,7 @@ class RealTimeClock:
 
     @speed.setter
     def speed(self, speed: float) -> None:
-        self._speed = number("speed", speed, MIN_SPEED, MAX_SPEED)
+        self._speed = checked_speed(speed)
 
     def restart(self) -> None:
         """Starts again, as after a pause."""

@@ -33,7 +33,12 @@ class FollowerReference:
         self._refusal = refusal
         self._rate = 1.0
         self._planner = CommittedMotion(self.arm, refusal=refusal)
-        self.stand(q)
+        self.q = np.array(q)
+        self._previous = self.q  # (n,) rad, a tick before
+        self._motion = self._trajectory(standing(self.arm.limits.clamp(self.q)))
+        self._t = 0.0  # s of the motion
+        self.is_on_planned_path = False
+        self._is_stopping = False
 
     @property
     def obstacle(self) -> str:
@@ -86,7 +91,10 @@ class FollowerReference:
 
     def _take(self, pieces: Pieces, is_planned: bool = False) -> None:
         """Goes on along a motion that starts where the reference is."""
-        self._motion = JointTrajectory(*pieces, self.arm.joint_names, self._limits)
+        self._motion = self._trajectory(pieces)
         self._t = 0.0
         self.is_on_planned_path = is_planned
         self._is_stopping = False
+
+    def _trajectory(self, pieces: Pieces) -> JointTrajectory:
+        return JointTrajectory(*pieces, self.arm.joint_names, self._limits)

@@ -136,7 +136,7 @@ class RealTimeSession:
             self._stepper = stepper
             self._payload = payload
             self._gripper = self._gripper_of(stepper)
-            self._follower.obstacles = Obstacles(self.arm, stepper.data)
+            self._follower.avoidance.obstacles = Obstacles(self.arm, stepper.data)
 
         self._command("payload", change)
 
@@ -279,7 +279,7 @@ class RealTimeSession:
             "target": self._follower.target,
             "oriented": self._follower.oriented,
             "joint_control": self._follower.joint_control,
-            "avoiding": self._follower.avoiding,
+            "avoiding": self._follower.avoidance.is_on,
             "speed_override": self._speed_override,
             "controller": self._controller_name,
             "payload": self._payload,
@@ -353,9 +353,9 @@ class RealTimeSession:
                 arrived=bool(np.abs(q_ref - follower.joint_goal).max() < _REFERENCE_ARRIVED) and follower.reference.is_at_rest,
             ),
             position_error=position_error,
-            reach_error=follower.reach_error,
-            refusal=follower.refusal,
-            path=follower.path,
+            reach_error=follower.task.reach_error,
+            refusal=follower.task.refusal,
+            path=follower.task.path,
             contacts=frozen(contact_forces(stepper.model, stepper.data)),
             q=frozen(state.q.copy()),
             qpos=frozen(stepper.data.qpos.copy()),
@@ -374,9 +374,9 @@ class RealTimeSession:
             return Activity.PAUSED
         if self._follower.is_planning:
             return Activity.PLANNING
-        if self._follower.refusal:
+        if self._follower.task.refusal:
             return Activity.BLOCKED
-        if self._follower.reach_error is not None and arrived:
+        if self._follower.task.reach_error is not None and arrived:
             return Activity.OUT_OF_REACH
         if position_error <= TOLERANCE and at_rest:
             return Activity.AT_TARGET

@@ -2,41 +2,33 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
 
-from armctl.core.latest_worker import LatestWorker
-from armctl.core.pose import Pose, computed_pose, rotation_from_vector, rotation_vector
+from armctl.core.pose import Pose, computed_pose, rotation_from_vector
 from armctl.core.target import Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, frozen
 from armctl.model.arm.arm import Arm
-from armctl.model.collision.checker import CollisionChecker
 from armctl.plan.ik.differential import DifferentialIk
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.move_free import FreeSpace
-from armctl.run.execution.move import PlannedMove, plan_free
+from armctl.run.execution.move import plan_free
 from armctl.run.execution.obstacles import Obstacles
+from armctl.view.realtime.background_planning import BackgroundPlanning
+from armctl.view.realtime.contact_avoidance import ContactAvoidance
 from armctl.view.realtime.follower_reference import FollowerReference
+from armctl.view.realtime.live_target import SwingDetector, TargetGlide
 
 _IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
-# Differential IK may swing about the nearest pose to an orientation out of reach. It gets nowhere if, in so many seconds, the
-# joints get less far than a share of their way.
-_SWING_S = 0.5
-_SWING_SHARE = 0.1
 _MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
-_CLEARANCE_M = 1e-3  # of a reference that follows live: half of what a planned path keeps
 PATH_POINTS = 100
 # By how much a target that moves at a velocity may be ahead of the arm, which an obstacle or a limit may stop.
 _LEAD_M = 0.03
 _LEAD_RAD = 0.2
-_MAX_GLIDE_S = 0.4  # a browser that draws slowly sends the places of a dragged target this rarely
-
-_log = logging.getLogger("armctl.run.sim")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +47,27 @@ class PlannedPath:
         return cls(frozen(positions), frozen(q[-1]), trajectory.duration)
 
 
+class Phase(Enum):
+    """How far a follower is with its task."""
+
+    BEGUN = auto()  # nothing was tried yet
+    FOLLOWING = auto()  # the joint goal moves towards the target
+    PLANNING = auto()  # a path is being planned, or waits for the arm to come to rest
+    FINISHED = auto()  # the joint goal stays where it is
+
+
+@dataclass(slots=True, eq=False)
+class FollowerTask:
+    """What a follower is to do since its last command, and how far it is."""
+
+    q: Array | None  # (n,) rad, a goal of the joints; None: the target
+    held: bool  # while a target is held, the arm follows live and plans nothing
+    phase: Phase = Phase.BEGUN
+    refusal: str = ""  # what is in the way; empty if nothing is
+    reach_error: float | None = None  # m, of a target out of reach
+    path: PlannedPath | None = None
+
+
 class TargetFollower:
     """Moves the reference of an arm to a target that may change at any time.
 
@@ -63,33 +76,34 @@ class TargetFollower:
     the reference comes to rest at the last free joint goal. Once the target is released, a path around what is in the way is
     planned in another thread, and followed.
 
-    `joint_goal` (n,) rad is where the reference comes to rest; `Status` explains the other attributes.
+    `joint_goal` (n,) rad is where the reference comes to rest, `target` is T_world_tip, and `joint_control` says whether the
+    joints were moved last; `Status` explains the rest.
     """
 
     def __init__(self, arm: Arm, dt: float, obstacles: Obstacles):
+        """A follower that rests at home."""
         self.arm = arm
-        self.obstacles = obstacles
-        self.reference = FollowerReference(arm, dt, arm.home, self._refusal)
+        self.avoidance = ContactAvoidance(obstacles)
+        self.reference = FollowerReference(arm, dt, arm.home, self.avoidance.refusal)
         self.oriented = arm.n >= 6
-        self.avoiding = True
+        self.target = arm.fk(arm.home)
+        self.joint_goal = arm.home
+        self.joint_control = False
+        self.task = FollowerTask(arm.home, held=False)
         self._dt = dt
         self._ik: DifferentialIk | None = None
-        self._worker: LatestWorker | None = None
-        self._checker: CollisionChecker | None = None
-        self._clearance = _CLEARANCE_M
+        self._planning = BackgroundPlanning()
+        self._glide = TargetGlide(self.target)
+        self._swing = SwingDetector(arm.home)
         self._is_jogging = False
-        self._since_aim = 0.0
-        self._glide_s = 0.0
-        self.stand(arm.home, arm.home)
 
     def close(self) -> None:
-        if self._worker is not None:
-            self._worker.close()
+        self._planning.close()
 
     def prepare(self) -> None:
         """Loads what the first update needs."""
         self._velocity(Target.read(self.target), self._dt)
-        self.obstacles.recent_checker("")
+        self.avoidance.obstacles.recent_checker("")
 
     def stand(self, q: Array, goal: Array) -> None:
         """Rests at q, (n,) rad, and then moves the joints to a goal, (n,) rad, with the target where the tip then is."""
@@ -103,12 +117,7 @@ class TargetFollower:
 
         The way from one held target to the next one takes the time between the two, so that the arm does not stop at each.
         """
-        if held and self._held and self._since_aim <= _MAX_GLIDE_S:
-            self._glide_start = self._glided()
-            self._glide_s = self._since_aim
-        else:
-            self._glide_s = 0.0
-        self._since_aim = 0.0
+        self._glide.begin(self.target if held and self.task.held else None)
         self.target = target
         self.joint_control = False
         self._begin(None, held)
@@ -136,12 +145,13 @@ class TargetFollower:
         turned = computed_pose(tip.position + ahead, rotation_from_vector(interval * angular) @ self.target.rotation)
         is_near = Target.read(turned).distance(tip)[1] < _LEAD_RAD
         self.target = turned if is_near or not self.oriented else Pose(turned.position, quat=self.target.quat)
-        self._finished = False
+        if self.task.phase is Phase.FINISHED:
+            self.task.phase = Phase.FOLLOWING
 
     def set_avoiding(self, avoiding: bool) -> None:
         """Chooses whether contacts are avoided."""
-        self.avoiding = avoiding
-        self._begin(self._wanted, self._held)
+        self.avoidance.is_on = avoiding
+        self._begin(self.task.q, self.task.held)
 
     def advance(self, ticks: int, held_body: str = "") -> TickReference:
         """The next ticks of the reference, with a body that the gripper holds; empty for none."""
@@ -149,54 +159,39 @@ class TargetFollower:
             rows = self.reference.next(ticks)
             self.joint_goal = self.arm.limits.clamp(self.reference.q)
             return rows
-        self._since_aim += ticks * self._dt
-        self._take_answer()
-        if not (self.is_planning or self._finished):
-            self._watch(held_body)
+        self._glide.pass_time(ticks * self._dt)
+        if self.task.phase is Phase.PLANNING:
+            self._take_plan()
+        if self.task.phase in (Phase.BEGUN, Phase.FOLLOWING):
+            self.avoidance.look(held_body)
             self._update_joint_goal(ticks * self._dt)
         return self.reference.next(ticks)
-
-    def _begin(self, wanted: Array | None, held: bool) -> None:
-        """Starts again towards the target, or towards joint angles (n,)."""
-        self._wanted = wanted
-        self._held = held
-        self._finished = False
-        self._is_new = True
-        self._begin_swing()
-        self.reach_error: float | None = None
-        self.refusal = ""
-        self.path: PlannedPath | None = None
-        self._request: object = None
-        self._answer: tuple[object, PlannedMove] | None = None  # to which request, and what was planned
-        self.reference.stop()
 
     @property
     def is_planning(self) -> bool:
         """Whether a path is being planned, or waits for the arm to come to rest."""
-        return self._request is not None
+        return self.task.phase is Phase.PLANNING
 
-    def _watch(self, held_body: str) -> None:
-        """Looks where everything is now, and how much clearance can be kept."""
-        if not self.avoiding:
-            self._checker = None
-            return
-        self._checker = self.obstacles.recent_checker(held_body)
-        if self._is_new:
-            pair, distance = self._checker.nearest(self.reference.q)
-            if pair >= 0 and distance <= self._clearance:
-                self._clearance = max(0.5 * distance, 0.0)
-            else:
-                self._clearance = min(_CLEARANCE_M, max(self._clearance, 0.5 * distance))
+    def _begin(self, q: Array | None, held: bool) -> None:
+        """Starts again towards the target, or towards joint angles (n,)."""
+        self.task = FollowerTask(q, held)
+        self._swing.restart(self.joint_goal)
+        self._planning.cancel()
+        self.reference.stop()
 
     def _update_joint_goal(self, interval: float) -> None:
-        is_new = self._is_new
-        self._is_new = False
-        if self._wanted is not None:
-            self._finished = self._approach(self._wanted)
+        task = self.task
+        is_new = task.phase is Phase.BEGUN
+        task.phase = Phase.FOLLOWING
+        if is_new:
+            self.avoidance.set_clearance(self.reference.q)
+        if task.q is not None:
+            if self._approach(task.q):
+                task.phase = Phase.FINISHED
             return
-        aimed = self._glided()
+        aimed = self._glide.pose(self.target)
         target = Target.read(aimed if self.oriented else aimed.position)
-        if is_new and not self._held and self._is_blocked(target):
+        if is_new and not task.held and self._is_blocked(target):
             self._plan(target)
             return
         rate = self._velocity(target, interval)
@@ -204,41 +199,16 @@ class TargetFollower:
         if (
             not is_free
             or aimed is not self.target
-            or (np.abs(rate).max() > _IK_AT_REST_SPEED and not self._swings(rate, interval))
+            or (np.abs(rate).max() > _IK_AT_REST_SPEED and not self._swing.swings(self.joint_goal, rate, interval))
         ):
             return
-        self._finished = True
         solution = solve_ik(self.arm, target, self.joint_goal)
         position_error, _ = target.distance(self.arm.fk(self.joint_goal))
-        if solution.ok or solution.position_error < position_error - _MIN_IMPROVEMENT_M:
-            self._finished = self._approach(solution.q)
+        is_better = solution.ok or solution.position_error < position_error - _MIN_IMPROVEMENT_M
+        if not is_better or self._approach(solution.q):
+            task.phase = Phase.FINISHED
         if not solution.ok:
-            self.reach_error = solution.position_error
-
-    def _glided(self) -> Pose:
-        """The target, or a pose on the way there from the held one before it."""
-        if self._since_aim >= self._glide_s:
-            return self.target
-        share = self._since_aim / self._glide_s
-        start = self._glide_start
-        turn = rotation_vector(self.target.rotation @ start.rotation.T)
-        position = start.position + share * (self.target.position - start.position)
-        return computed_pose(position, rotation_from_vector(share * turn) @ start.rotation)
-
-    def _begin_swing(self) -> None:
-        self._swing_start = self.joint_goal
-        self._swing_way = np.zeros(self.arm.n)
-        self._swing_time = 0.0
-
-    def _swings(self, rate: Array, interval: float) -> bool:
-        """Whether the joint goal moves to and fro, as seen after each half second."""
-        self._swing_way += interval * np.abs(rate)
-        self._swing_time += interval
-        if self._swing_time < _SWING_S:
-            return False
-        swings = np.abs(self.joint_goal - self._swing_start).max() < _SWING_SHARE * self._swing_way.max()
-        self._begin_swing()
-        return bool(swings)
+            task.reach_error = solution.position_error
 
     def _velocity(self, target: Target, interval: float) -> Array:
         """(n,) rad/s, by differential inverse kinematics. It is made at its first use, because its imports take long."""
@@ -248,70 +218,52 @@ class TargetFollower:
 
     def _is_blocked(self, target: Target) -> bool:
         """Whether something is on the straight line of the joints to a reachable target."""
-        if self._checker is None:
+        if self.avoidance.checker is None:
             return False
         solution = solve_ik(self.arm, target, self.joint_goal)
-        return solution.ok and self._checker.line_hit(self.joint_goal, solution.q, self._clearance) is not None
+        return solution.ok and self.avoidance.is_line_blocked(self.joint_goal, solution.q)
 
     def _approach(self, q: Array) -> bool:
         """Moves towards q if the motion there is free. If it is not, plans another one, unless the target is held."""
+        task = self.task
         if self.reference.go_to(q):
             self.joint_goal = q
-            self.refusal = ""
+            task.refusal = ""
             return True
         obstacle = self.reference.obstacle
-        if self._held:
-            self.refusal = f"{obstacle}; release the target to plan around" if obstacle else ""
-        elif self._checker is not None and (obstacle or self.reference.is_at_rest):
-            self._plan(self._wanted)
+        if task.held:
+            task.refusal = f"{obstacle}; release the target to plan around" if obstacle else ""
+        elif self.avoidance.checker is not None and (obstacle or self.reference.is_at_rest):
+            self._plan(task.q)
         return False  # without an obstacle, no motion inside the limits leads there from this state; from rest there may be one
-
-    def _refusal(self, pieces: Pieces) -> str:
-        """What a motion would touch; empty if it is free."""
-        if self._checker is None:
-            return ""
-        hit = self._checker.motion_hit(pieces.knots, pieces.coefficients, self._clearance)
-        return "" if hit is None else "{} and {} would touch".format(*self._checker.names(hit.pair))
 
     def _plan(self, goal: Target | Array | None) -> None:
         """Plans a path from the joint goal, where the reference comes to rest, in another thread."""
-        assert self._checker is not None
+        checker = self.avoidance.checker
+        assert checker is not None
         arm = self.reference.arm
-        checker = self._checker
         start = self.joint_goal
         target = Target.read(self.target if self.oriented else self.target.position)
-        request = object()
-        self._request = request
-        self.refusal = ""
+        self.task.phase = Phase.PLANNING
+        self.task.refusal = ""
+        self._planning.begin(
+            lambda: plan_free(arm, target, start, target if goal is None else goal, 1.0, FreeSpace(checker)), target
+        )
 
-        def plan() -> None:
-            try:
-                move = plan_free(arm, target, start, target if goal is None else goal, 1.0, FreeSpace(checker))
-            except Exception as error:
-                _log.exception("planning failed")
-                move = PlannedMove(target, refusal=f"planning failed: {error}")
-            self._answer = (request, move)
-
-        if self._worker is None:
-            self._worker = LatestWorker("armctl planning")
-        self._worker.submit(plan)
-
-    def _take_answer(self) -> None:
+    def _take_plan(self) -> None:
         """Shows what was planned, and follows it as soon as the reference has come to rest."""
-        answer = self._answer
-        if answer is None or answer[0] is not self._request:
+        move = self._planning.move
+        if move is None:
             return
-        move = answer[1]
+        task = self.task
         trajectory = move.trajectory
         if trajectory is None:
-            self.refusal = move.refusal
-            self._request = None
-            self._finished = True
+            task.refusal = move.refusal
+            task.phase = Phase.FINISHED
             return
-        if self.path is None:
-            self.path = PlannedPath.from_trajectory(self.arm, trajectory)
+        if task.path is None:
+            task.path = PlannedPath.from_trajectory(self.arm, trajectory)
         if self.reference.is_at_rest:
-            self._request = None
-            self._finished = True
+            task.phase = Phase.FINISHED
             assert isinstance(trajectory, JointTrajectory)
             self.reference.follow(trajectory)

@@ -37,7 +37,7 @@ class Watched:
         for _ in range(round(seconds / UPDATE_INTERVAL_S)):
             self.session.advance()
             self.nearest = min(self.nearest, self.checker.nearest(self.session.status.q)[1])
-            while self.session._follower.is_planning and self.session._follower._answer is None:
+            while self.session._follower.is_planning and self.session._follower._planning.move is None:
                 time.sleep(1e-3)
 
 
@@ -165,7 +165,7 @@ def test_a_goal_for_which_the_motors_are_too_weak_is_refused_with_the_reason():
     watched.move_joints(np.array([0.5, 0.0, 0.0]))
     for _ in range(100):
         watched.advance()
-        while watched._follower.is_planning and watched._follower._answer is None:
+        while watched._follower.is_planning and watched._follower._planning.move is None:
             time.sleep(1e-3)
     assert watched.status.activity is Activity.BLOCKED
     assert "the limit is 3.4 N m; take a lighter payload" in watched.status.refusal
