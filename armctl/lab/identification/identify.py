@@ -143,10 +143,10 @@ def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
         coulomb_friction=frozen(fit.x[layout.coulomb].copy() if has_friction else zero),
         coulomb_error=frozen(errors[layout.coulomb].copy() if has_friction else zero),
         breakaway=frozen(fit.x[layout.stribeck].copy() if layout.has_stribeck else zero),
-        friction_speeds=fit.shape,
+        friction_speeds=fit.friction.shape,
         torque_offset=frozen(fit.x[layout.offset].copy()),
         delay=fit.delay,
-        cutoff=fit.cutoff,
+        cutoff=fit.recording.cutoff,
         base_names=tuple(str(name) for name in names),
         base_values=frozen(scale * (base.combination @ (fit.x / regressor.prior))),
         base_errors=frozen(scale * np.sqrt(np.diag(base_covariance))),
@@ -161,10 +161,10 @@ def _base_parameters(fit: ParameterFit) -> _Base:
     """Base parameters by QR with pivoting of the regressor of random states, its columns in units of the prior."""
     regressor = fit.regressor
     states = regressor.random_states()
-    torques = regressor.rows(*states, fit.shape)
+    torques = regressor.rows(*states, fit.friction.shape)
     if regressor.layout.has_friction:
         joints = np.arange(regressor.layout.n)
-        torques[:, joints, regressor.layout.coulomb.start + joints] = fit.friction_effect(states[1])
+        torques[:, joints, regressor.layout.coulomb.start + joints] = fit.friction.effect(states[1])
     torques /= _typical_torque(fit)[:, None]
     W = torques.reshape(-1, regressor.layout.size) * regressor.prior
     R, order, count = pivoted_qr(W)
@@ -228,7 +228,7 @@ def _failure(fit: ParameterFit, rms: Array, model_rms: Array, relative: Array) -
     moving = np.abs(fit.held_out.v).max(axis=0) > _MIN_SPEED
     if not moving.any():
         return "no joint moves in the held-out part"
-    floor = np.maximum(_MIN_TORQUE_SHARE * fit.regressor.torque_scale(), _NOISE_FACTOR * fit.torque_noise)
+    floor = np.maximum(_MIN_TORQUE_SHARE * fit.regressor.torque_scale(), _NOISE_FACTOR * fit.recording.torque_noise)
     bad = (rms > floor) & ((relative > _MAX_RELATIVE_ERROR) | (rms > model_rms + floor))
     if not bad.any():
         return ""
@@ -244,7 +244,7 @@ def _reason(fit: ParameterFit, unexcited: tuple[str, ...], condition: float, val
     arm = fit.regressor.arm
     training = fit.training
     if len(training) < _MIN_ROWS:
-        return f"only {len(training)} independent samples at a cut-off of {fit.cutoff:.3g} Hz; record a longer motion"
+        return f"only {len(training)} independent samples at a cut-off of {fit.recording.cutoff:.3g} Hz; record a longer motion"
     still = np.abs(training.v).max(axis=0) < _MIN_SPEED
     if still.any():
         names = tuple(name for name, is_still in zip(arm.joint_names, still, strict=True) if is_still)
