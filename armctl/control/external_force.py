@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,15 @@ _MODEL_RESERVE = 1.5  # links that are wrong in opposite directions
 _FRICTION_SPEED = 0.02  # rad/s (m/s): friction turns below it
 _RANK_TOLERANCE = 1e-3  # of the Jacobian: forces that only large torques would show are left out
 _FRICTION_SHARE = 0.2  # of dry friction that is uncertain while a joint moves
+
+
+class _Tick(NamedTuple):
+    """What an update leaves to the next one."""
+
+    momentum: Array  # (n,) N m s, by the known torques and the estimate
+    inertia: Array  # (n, n) kg m^2
+    bias: Array  # (n,) N m, of gravity, speeds and friction
+    scale: Array  # (n,) N m, of the torques that an error of the model can explain
 
 
 class ExternalForce:
@@ -83,14 +93,13 @@ class ExternalForce:
         if friction is not None:
             fast = np.full(arm.n, 10 * _FRICTION_SPEED)
             self._loss = np.abs(vector("friction", friction(fast), arm.n))
-        self.reset()
+        self._last: _Tick | None = None  # None before the first update
+        self.torque = np.zeros(arm.n)
+        self.threshold = np.array(self.noise)
 
     def reset(self) -> None:
         """Forgets the run."""
-        self._momentum: Array | None = None  # before the first update
-        self._inertia: Array = np.zeros((self._arm.n, self._arm.n))
-        self._bias = np.zeros(self._arm.n)
-        self._scale = np.zeros(self._arm.n)
+        self._last = None
         self.torque = np.zeros(self._arm.n)
         self.threshold = np.array(self.noise)
 
@@ -112,22 +121,24 @@ class ExternalForce:
         tau = vector("torque", torque, n)
         dt = number("dt", dt, 1e-6, 1.0)
         inertia = self._dynamics.mass_matrix(q)
-        if self._momentum is None:
-            self._momentum = inertia @ v
+        last = self._last
+        if last is None:
+            momentum = inertia @ v
+            scale = np.zeros(n)
         else:
             # d(M v) = M dv + dM v, and M dv is what the known torques do in a tick.
-            known = tau - self._bias + self.torque
-            momentum: Array = self._momentum + dt * known + (inertia - self._inertia) @ v
+            known = tau - last.bias + self.torque
+            momentum = last.momentum + dt * known + (inertia - last.inertia) @ v
             gain = (1 - np.exp(-self.bandwidth * dt)) / dt
             self.torque = gain * (inertia @ v - momentum)
-            self._momentum = momentum
-        self._inertia = inertia
+            scale = last.scale
         gravity = self._dynamics.gravity(q)
-        self._bias = self._dynamics.inverse_dynamics(q, v, np.zeros(n)) + self._dry_friction(v)
+        bias = self._dynamics.inverse_dynamics(q, v, np.zeros(n)) + self._dry_friction(v)
         share = 1 - np.exp(-self.bandwidth * dt)
-        self._scale = self._scale + share * (np.abs(gravity) + np.abs(tau - self._bias) - self._scale)
+        scale = scale + share * (np.abs(gravity) + np.abs(tau - bias) - scale)
+        self._last = _Tick(momentum, inertia, bias, scale)
         uncertain = np.where(np.abs(v) > 2 * _FRICTION_SPEED, _FRICTION_SHARE, 1.0) * self._loss
-        self.threshold = self.noise + _MODEL_RESERVE * self.model_error * self._scale + uncertain
+        self.threshold = self.noise + _MODEL_RESERVE * self.model_error * scale + uncertain
         return self.torque
 
     @property

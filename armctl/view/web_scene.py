@@ -12,6 +12,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
@@ -67,6 +68,16 @@ class _ShownState(NamedTuple):
 
     def is_close(self, other: _ShownState) -> bool:
         return all(np.abs(a - b).max(initial=0.0) < _MIN_MOTION for a, b in zip(self, other, strict=True))
+
+
+@dataclass
+class _Drawing:
+    """The arm on the page."""
+
+    model: mujoco.MjModel  # with meshes that are coarse at first
+    data: mujoco.MjData
+    hidden_body: int  # which the page does not show; -1: none
+    not_refined: mujoco.MjModel | None  # from which finer meshes are made; None: they are fine
 
 
 class WebScene:
@@ -131,39 +142,39 @@ class WebScene:
         import mjviser
 
         target = find_target(arm.model)
-        self._hidden_body = -1 if with_marker or target is None else target
-        coarse = decimated(arm.model, COARSE_CELL, self._hidden_body)
+        hidden_body = -1 if with_marker or target is None else target
+        coarse = decimated(arm.model, COARSE_CELL, hidden_body)
         with self._drawing_lock:
-            self._not_refined: mujoco.MjModel | None = arm.model
-            self._model = coarse
-            self._data = mujoco.MjData(self._model)
+            self._drawing = _Drawing(coarse, mujoco.MjData(coarse), hidden_body, arm.model)
             self._set_camera(arm, others)
             self.server.gui.set_panel_label(arm.name)
             self._drawn = None
             self.show(arm.home_qpos)
             if self._thread.is_alive():
-                self._scene.mj_model = self._model
-                self._scene.mj_data = mujoco.MjData(self._model)
+                self._scene.mj_model = coarse
+                self._scene.mj_data = mujoco.MjData(coarse)
                 self._scene.rebuild_visual_handles()
                 return
-            self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
+            self._scene = mjviser.ViserMujocoScene(self.server, coarse, 1)
             self._scene.camera_tracking_enabled = False
             self.server.scene.configure_environment_map(None)
         self._thread.start()
 
     def show(self, qpos: Array, mocap_pos: Array | None = None, mocap_quat: Array | None = None) -> None:
         """Sets what is drawn next: qpos (nq,), and positions (nmocap, 3) m and wxyz of mocap bodies, unchanged if None."""
-        position = self._data.mocap_pos if mocap_pos is None else mocap_pos
-        quat = self._data.mocap_quat if mocap_quat is None else mocap_quat
+        data = self._drawing.data
+        position = data.mocap_pos if mocap_pos is None else mocap_pos
+        quat = data.mocap_quat if mocap_quat is None else mocap_quat
         self._latest = _ShownState(np.array(qpos), np.array(position), np.array(quat))
         self._shown.set()
 
     def show_target(self, qpos: Array, target: Pose) -> None:
         """Sets what is drawn next, with the target marker at a pose. A model without a movable marker shows none."""
-        position = np.array(self._data.mocap_pos)
-        quat = np.array(self._data.mocap_quat)
-        if is_movable(self._model):
-            marker = self._model.body_mocapid[find_target(self._model)]
+        model = self._drawing.model
+        position = np.array(self._drawing.data.mocap_pos)
+        quat = np.array(self._drawing.data.mocap_quat)
+        if is_movable(model):
+            marker = model.body_mocapid[find_target(model)]
             position[marker] = target.position
             quat[marker] = target.quat
         self.show(qpos, position, quat)
@@ -205,11 +216,12 @@ class WebScene:
 
     def _refine(self) -> None:
         """Replaces the coarse meshes of an arm by finer ones, once."""
-        if self._not_refined is not None:
+        drawing = self._drawing
+        if drawing.not_refined is not None:
             cell = FINE_CELL if self.devices.draw_fast else PLAIN_CELL
-            self._model = decimated(self._not_refined, cell, self._hidden_body)
-            self._not_refined = None
-            self._scene.mj_model = self._model
+            drawing.model = decimated(drawing.not_refined, cell, drawing.hidden_body)
+            drawing.not_refined = None
+            self._scene.mj_model = drawing.model
             self._scene.rebuild_visual_handles()
             if self._latest is None:
                 self._latest = self._drawn
@@ -221,26 +233,29 @@ class WebScene:
         if latest is None or (self._drawn is not None and latest.is_close(self._drawn)):
             return
         self._drawn = latest
-        self._data.qpos[:] = latest.qpos
-        self._data.mocap_pos[:] = latest.mocap_pos
-        self._data.mocap_quat[:] = latest.mocap_quat
-        mujoco.mj_kinematics(self._model, self._data)
+        data = self._drawing.data
+        data.qpos[:] = latest.qpos
+        data.mocap_pos[:] = latest.mocap_pos
+        data.mocap_quat[:] = latest.mocap_quat
+        mujoco.mj_kinematics(self._drawing.model, data)
         with self.server.atomic():
-            self._scene.update_from_mjdata(self._data)
+            self._scene.update_from_mjdata(data)
         self.server.flush()
 
     def _set_camera(self, arm: Arm, others: Sequence[Arm]) -> None:
         """Points the page's first view at the arms and the target."""
-        self._data.qpos[:] = arm.home_qpos
-        mujoco.mj_kinematics(self._model, self._data)
-        points = [self._data.xpos[self._model.dof_bodyid[other.dof_adr[0]]] for other in others]
+        model = self._drawing.model
+        data = self._drawing.data
+        data.qpos[:] = arm.home_qpos
+        mujoco.mj_kinematics(model, data)
+        points = [data.xpos[model.dof_bodyid[other.dof_adr[0]]] for other in others]
         points += [each.fk(each.home).position for each in (*others, arm)]
-        target = find_target(self._model)
+        target = find_target(model)
         if target is not None:
-            points.append(self._data.xpos[target])
-        view = fitted_camera(arm, [self._data], np.array(points), 0.8)
+            points.append(data.xpos[target])
+        view = fitted_camera(arm, [data], np.array(points), 0.8)
         forward, _, up = axes(*np.radians([view.azimuth, view.elevation]))
-        model_fov = np.radians(self._model.vis.global_.fovy)
+        model_fov = np.radians(model.vis.global_.fovy)
         fov = np.radians(_FIELD_OF_VIEW_DEG)
         distance = _DISTANCE_FACTOR * view.distance * np.tan(model_fov / 2) / np.tan(fov / 2)
         camera = self.server.initial_camera

@@ -7,7 +7,7 @@ import ast
 import subprocess
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -147,6 +147,83 @@ def test_a_class_name_means_one_class():
 
 def test_a_private_class_name_counts_as_the_public_one():
     assert class_names("class _Stream: pass\nclass Stream:\n    class _Row: pass") == ["Stream", "Stream", "Row"]
+
+
+MAX_LATE_ATTRIBUTES = 3
+CONSTRUCTORS = ("__init__", "__post_init__", "__new__")
+
+
+def assigned_attributes(method: ast.FunctionDef | ast.AsyncFunctionDef) -> set[str]:
+    """The attributes that a method assigns to its first argument, itself or in functions inside it."""
+    owner = next((argument.arg for argument in (*method.args.posonlyargs, *method.args.args)), None)
+    return {
+        node.attr
+        for node in ast.walk(method)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and ast.unparse(node.value) == owner
+    }
+
+
+def made_attributes(node: ast.ClassDef, classes: dict[str, ast.ClassDef]) -> set[str]:
+    """The attributes that a class has as soon as it is constructed, those of its bases too, and its methods."""
+    made = set()
+    for statement in node.body:
+        if isinstance(statement, ast.FunctionDef):
+            made.add(statement.name)  # also that of a property with a setter
+            made.update(assigned_attributes(statement) if statement.name in CONSTRUCTORS else ())
+        elif isinstance(statement, ast.AnnAssign) and (statement.value is not None or node.decorator_list):
+            made.add(ast.unparse(statement.target))  # a value of the class, or a field of a dataclass
+        elif isinstance(statement, ast.Assign):
+            made.update(map(ast.unparse, statement.targets))
+    bases = [classes[base.id] for base in node.bases if isinstance(base, ast.Name) and base.id in classes]
+    return made.union(*(made_attributes(base, classes) for base in bases))
+
+
+def late_attributes(node: ast.ClassDef, classes: dict[str, ast.ClassDef]) -> list[str]:
+    """The attributes that only other methods of a class make."""
+    methods = [statement for statement in node.body if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef)]
+    assigned = set().union(*map(assigned_attributes, methods))
+    return sorted(assigned - made_attributes(node, classes))
+
+
+def classes_of(texts: Iterable[str]) -> dict[str, ast.ClassDef]:
+    return {node.name: node for text in texts for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ClassDef)}
+
+
+def test_a_class_makes_its_attributes_in_its_constructor():
+    """All but three: what an object has is read in one place, and no method must be called before another one."""
+    classes = classes_of(SOURCES.values())
+    late = {name: late_attributes(node, classes) for name, node in classes.items()}
+    assert {name: names for name, names in late.items() if len(names) > MAX_LATE_ATTRIBUTES} == {}
+
+
+def test_an_attribute_that_a_method_makes_is_found():
+    code = """
+class Base:
+    def __init__(self):
+        self.made = 0
+
+class Robot(Base):
+    a: int
+    b: int = 0
+
+    def __init__(self):
+        self.c, self.d = 0, 0
+        self.reset()
+
+    @property
+    def speed(self): ...
+
+    @speed.setter
+    def speed(self, speed): ...
+
+    def reset(this):
+        this.made = this.a = this.b = this.c = this.d = this.speed = 1
+        this.e, (this.f, other.g) = 1, (2, 3)
+        this.h.i = 4
+        this.j += 5
+"""
+    classes = classes_of([code])
+    assert late_attributes(classes["Robot"], classes) == ["a", "e", "f", "j"]
 
 
 def test_a_file_name_means_one_topic():

@@ -63,7 +63,7 @@ def test_a_chosen_scene_replaces_everything_and_a_failure_leaves_the_present_one
         until(lambda: page.session is not first and page.session.status.elapsed > 0.0, "the scene is not loaded")
         second = page.session
         assert second.arm.model.body("ball").id > 0
-        assert page.scene._model.nq == second.arm.model.nq == len(second.status.qpos)
+        assert page.scene._drawing.model.nq == second.arm.model.nq == len(second.status.qpos)
         until(lambda: not first._thread.is_alive(), "the first session does not end")
         until(lambda: "/scene0/arm0/goal" not in server.scene._handle_from_node_name, "the first target remains")
         assert "/scene1/arm0/goal" in server.scene._handle_from_node_name

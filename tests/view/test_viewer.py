@@ -57,8 +57,8 @@ def test_the_page_draws_what_the_simulation_ended_with(watched: Simulation):
     while scene._latest is not None and time.monotonic() < deadline:
         time.sleep(0.01)
     time.sleep(0.1)
-    np.testing.assert_allclose(scene._data.qpos, watched.data.qpos, atol=2e-6)
-    np.testing.assert_array_equal(scene._data.mocap_pos, watched.data.mocap_pos)
+    np.testing.assert_allclose(scene._drawing.data.qpos, watched.data.qpos, atol=2e-6)
+    np.testing.assert_array_equal(scene._drawing.data.mocap_pos, watched.data.mocap_pos)
 
 
 def test_it_says_where_it_is_and_how_fast_it_goes(watched: Simulation):
@@ -115,11 +115,11 @@ def test_coarse_meshes_come_first_and_fine_ones_replace_them():
     scene = WebScene(0)
     try:
         scene.set(arm_of(BUNDLED))
-        coarse_model = scene._model
+        coarse_model = scene._drawing.model
         groups = len(scene._scene._mesh_groups)
         scene._refine()
-        assert scene._model is not coarse_model
-        assert scene._scene.mj_model is scene._model
+        assert scene._drawing.model is not coarse_model
+        assert scene._scene.mj_model is scene._drawing.model
         assert len(scene._scene._mesh_groups) == groups
         scene._refine()
     finally:
@@ -137,6 +137,6 @@ def test_a_model_without_a_target_marker_has_a_page():
         scene.set(arm)
         scene.show_target(arm.home_qpos, arm.fk(arm.home))
         scene.draw()
-        np.testing.assert_array_equal(scene._data.qpos, arm.home_qpos)
+        np.testing.assert_array_equal(scene._drawing.data.qpos, arm.home_qpos)
     finally:
         scene.close()

@@ -25,6 +25,11 @@ class PickPlaceExpert(CartesianExpert):
         self.table = task.table
         self._height = task.height
         self._grasp = task.grasp
+        self._phase = self._above
+        self._opening = 1.0
+        self._closing_steps = 0
+        self._last_opening = 1.0
+        self._held_at = np.zeros(3)  # (3,) m, the object in the gripper when it closed, from the end of the tool
 
     def begin(self) -> None:
         super().begin()

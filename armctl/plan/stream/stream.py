@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,6 +74,22 @@ class StreamReport:
     obstacle: str
 
 
+class _TakenMotion(NamedTuple):
+    """The motion that a stream follows up to rest, in the form that its setpoints need."""
+
+    begin: float  # s, in the stream's time
+    duration: float  # s
+    knots: list[float]  # s, of the pieces
+    coefficients: Array
+    pieces: Pieces
+    rest: Array  # (n,) rad
+
+    @classmethod
+    def from_pieces(cls, pieces: Pieces, begin: float) -> _TakenMotion:
+        knots = pieces.knots.tolist()
+        return cls(begin, knots[-1], knots, pieces.coefficients, pieces, np.asarray(end_state(pieces).q))
+
+
 class Stream:
     """Timed targets become setpoints within position, velocity, acceleration, jerk and torque limits.
 
@@ -133,7 +150,7 @@ class Stream:
         pieces = self._planner.stop(JointState(start.q, start.v, start.a))
         if pieces is None:
             raise LimitError("q_start: the arm cannot stop inside its limits from this start; start slower")
-        self._take(pieces)
+        self._motion = _TakenMotion.from_pieces(pieces, 0.0)
 
     @property
     def t(self) -> float:
@@ -143,21 +160,22 @@ class Stream:
     @property
     def setpoint(self) -> Setpoint:
         """The current setpoint: q, v, a, each (n,)."""
-        u = min(self._t - self._begin, self._duration)
-        k = min(bisect_right(self._knots, u), self._last) - 1
-        return Setpoint(*np.array(basis(u - self._knots[k])).dot(self._coefficients[k]))
+        begin, duration, knots, coefficients, *_ = self._motion
+        u = min(self._t - begin, duration)
+        k = min(bisect_right(knots, u), len(knots) - 1) - 1
+        return Setpoint(*np.array(basis(u - knots[k])).dot(coefficients[k]))
 
     @property
     def time_left(self) -> float:
         """The time until the arm is at rest, s, if nothing more arrives."""
-        return max(0.0, self._begin + self._duration - self._t)
+        return max(0.0, self._motion.begin + self._motion.duration - self._t)
 
     @property
     def pieces(self) -> Pieces:
         """The motion from now on, up to rest, as polynomials."""
         if self.time_left == 0.0:
-            return standing(self._rest)
-        return remaining(self._pieces, self._t - self._begin)
+            return standing(self._motion.rest)
+        return remaining(self._motion.pieces, self._t - self._motion.begin)
 
     @property
     def report(self) -> StreamReport:
@@ -298,7 +316,7 @@ class Stream:
         """
         instance("device", device, Pose, "Pose([0, 0, 0]) is one")
         self._device = (device, self._arm.fk(self.setpoint.q))
-        self._targets.rest_at(self._rest)
+        self._targets.rest_at(self._motion.rest)
 
     def _reanchored(self, pose: Pose) -> Pose:
         assert self._device is not None
@@ -314,8 +332,8 @@ class Stream:
         """Stops as soon as the limits allow, and forgets all targets."""
         pieces = self._planner.stop(self._state())
         if pieces is not None:
-            self._take(pieces)
-        self._targets.rest_at(self._rest)
+            self._motion = _TakenMotion.from_pieces(pieces, self._t)
+        self._targets.rest_at(self._motion.rest)
 
     def restart(self, t: float, q: ArrayLike) -> None:
         """Forgets all targets and rests from now on, as where a robot came to rest because a motion reached it too late.
@@ -332,7 +350,7 @@ class Stream:
         self._t = number("t", t, self._t)
         self._previous = None
         self._targets.rest_at(rest)
-        self._take(standing(rest))
+        self._motion = _TakenMotion.from_pieces(standing(rest), self._t)
 
     def step(self, dt: float) -> Setpoint:
         """Advances by one tick.
@@ -407,17 +425,8 @@ class Stream:
         if pieces is None:
             self._counts["refused"] += 1
         else:
-            self._take(pieces)
+            self._motion = _TakenMotion.from_pieces(pieces, self._t)
 
     def _state(self) -> JointState:
         point = self.setpoint
         return JointState(point.q, point.v, point.a)
-
-    def _take(self, pieces: Pieces) -> None:
-        self._begin = self._t
-        self._pieces = pieces
-        self._knots = pieces.knots.tolist()
-        self._coefficients = pieces.coefficients
-        self._last = len(self._knots) - 1
-        self._duration = self._knots[-1]
-        self._rest = np.asarray(end_state(pieces).q)

@@ -71,6 +71,43 @@ class Rollouts(NamedTuple):
         return self.qpos[..., first : first + 3], self.qpos[..., first + 3 : first + 7]
 
 
+class _RolloutModel:
+    """The model of the rollouts: that of the arm, with a servo at each joint."""
+
+    def __init__(self, arm: Arm, q: Array):
+        """Servos with gains for the inertia of the joints at q, (n,) rad."""
+        model = copy.copy(arm.model)
+        model.opt.timestep = _STEP_S
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        actuator_of = {int(address): i for i, address in enumerate(model.actuator_ctrladr)}
+        servos = np.array([actuator_of[int(address)] for address in arm.ctrl_adr])
+        inertia = 1.0 / np.diag(np.linalg.inv(arm.mass_matrix(q)))
+        self.model = model
+        self._ctrl_adr = arm.ctrl_adr
+        self._gear = arm.gear
+        self._stiffness = _SERVO_BANDWIDTH**2 * inertia / self._gear**2
+        model.actuator_gaintype[servos] = mujoco.mjtGain.mjGAIN_FIXED
+        model.actuator_biastype[servos] = mujoco.mjtBias.mjBIAS_AFFINE
+        model.actuator_dyntype[servos] = mujoco.mjtDyn.mjDYN_NONE
+        model.actuator_ctrllimited[servos] = 0
+        model.actuator_gainprm[servos, 0] = self._stiffness
+        model.actuator_biasprm[servos, 1] = -self._stiffness
+        model.actuator_biasprm[servos, 2] = -2.0 * self._stiffness / _SERVO_BANDWIDTH
+        data = placed(model, arm.qpos(arm.home))
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_transmission(model, data)
+        self._length = data.actuator_length[servos] - self._gear * arm.home  # at q = 0, by a linear transmission
+        self._ctrl = np.array(arm.home_ctrl)
+
+    def controls(self, references: Array, rates: Array, torque: Array, count: int) -> Array:
+        """(count, T, nu) for references (count T, n), their rates, and the torque that they need."""
+        lead = 2.0 / _SERVO_BANDWIDTH * rates
+        servo_ctrl = self._length + self._gear * (references + lead) + torque / self._gear / self._stiffness
+        ctrl = np.tile(self._ctrl, (count, len(references) // count, 1))
+        ctrl[:, :, self._ctrl_adr] = servo_ctrl.reshape(*ctrl.shape[:2], -1)
+        return ctrl
+
+
 class MPPI:
     """Sampling MPC for contact tasks: the tip takes the velocity that the best of many simulated futures have on average.
 
@@ -140,36 +177,12 @@ class MPPI:
         self._q = np.array(simulation.state.q)
         self._v = np.zeros(arm.n)
         self._position = arm.fk(self._q).position
-        self._make_model(arm)
+        self._rollout_model = _RolloutModel(arm, self._q)
         count = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
         from mujoco.rollout import Rollout
 
-        self._data = [mujoco.MjData(self._model) for _ in range(count)]
+        self._data = [mujoco.MjData(self._rollout_model.model) for _ in range(count)]
         self._rollout = Rollout(nthread=count)
-
-    def _make_model(self, arm: Arm) -> None:
-        """The model of the rollouts: that of the arm, with a servo at each joint."""
-        model = copy.copy(arm.model)
-        model.opt.timestep = _STEP_S
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        actuator_of = {int(address): i for i, address in enumerate(model.actuator_ctrladr)}
-        self._servos = np.array([actuator_of[int(address)] for address in arm.ctrl_adr])
-        self._gear = arm.gear
-        inertia = 1.0 / np.diag(np.linalg.inv(arm.mass_matrix(self._q)))
-        self._stiffness = _SERVO_BANDWIDTH**2 * inertia / self._gear**2
-        model.actuator_gaintype[self._servos] = mujoco.mjtGain.mjGAIN_FIXED
-        model.actuator_biastype[self._servos] = mujoco.mjtBias.mjBIAS_AFFINE
-        model.actuator_dyntype[self._servos] = mujoco.mjtDyn.mjDYN_NONE
-        model.actuator_ctrllimited[self._servos] = 0
-        model.actuator_gainprm[self._servos, 0] = self._stiffness
-        model.actuator_biasprm[self._servos, 1] = -self._stiffness
-        model.actuator_biasprm[self._servos, 2] = -2.0 * self._stiffness / _SERVO_BANDWIDTH
-        data = placed(model, arm.qpos(arm.home))
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_transmission(model, data)
-        self._length = data.actuator_length[self._servos] - self._gear * arm.home  # at q = 0, by a linear transmission
-        self._ctrl = np.array(arm.home_ctrl)
-        self._model = model
 
     def plan(self) -> JointTrajectory:
         """Plans the motion of the next interval, which begins with the position and velocity at the end of the last one."""
@@ -214,23 +227,20 @@ class MPPI:
     def _simulated(self, velocities: Array) -> Rollouts:
         """The futures of velocities (K, H, axes) of the tip."""
         arm = self.simulation.arm
-        count, horizon, _ = velocities.shape
+        count = len(velocities)
         before = np.concatenate([np.broadcast_to(self._velocity, (count, 1, velocities.shape[2])), velocities[:, :-1]], axis=1)
         tips = self._position + np.cumsum(0.5 * self._interval * (before + velocities), axis=1) @ self._axes
         q = self._joints(tips)
         nodes = np.concatenate([np.broadcast_to(self._q, (count, 1, arm.n)), q], axis=1)
-        steps = round(self._interval / self._model.opt.timestep)
+        model = self._rollout_model.model
+        steps = round(self._interval / model.opt.timestep)
         shares = (np.arange(steps) + 1.0)[:, None] / steps
         change = np.diff(nodes, axis=1)[:, :, None]
         references = (nodes[:, :-1, None] + shares * change).reshape(-1, arm.n)
         rates = np.repeat(change / self._interval, steps, axis=2).reshape(-1, arm.n)
         # What the servos need to move the arm without a lag is part of their controls.
         torque = self._inverse_dynamics.total(references, rates, np.zeros_like(rates))
-        lead = 2.0 / _SERVO_BANDWIDTH * rates
-        servo_ctrl = self._length + self._gear * (references + lead) + torque / self._gear / self._stiffness
-        ctrl = np.tile(self._ctrl, (count, horizon * steps, 1))
-        ctrl[:, :, arm.ctrl_adr] = servo_ctrl.reshape(count, horizon * steps, -1)
-        model = self._model
+        ctrl = self._rollout_model.controls(references, rates, torque, count)
         initial = np.empty(mujoco.mj_stateSize(model, _STATE))
         mujoco.mj_getState(model, self.simulation.data, initial, _STATE)
         states = np.asarray(self._rollout.rollout(model, self._data, np.tile(initial, (count, 1)), ctrl)[0], dtype=np.float64)
