@@ -160,7 +160,7 @@ class Stream:
     @property
     def setpoint(self) -> Setpoint:
         """The current setpoint: q, v, a, each (n,)."""
-        begin, duration, knots, coefficients, *_ = self._motion
+        begin, duration, knots, coefficients, _, _ = self._motion
         u = min(self._t - begin, duration)
         k = min(bisect_right(knots, u), len(knots) - 1) - 1
         return Setpoint(*np.array(basis(u - knots[k])).dot(coefficients[k]))
