@@ -174,7 +174,7 @@ pytest-nightly: $(VENV)/ci.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest -m nightly $(TESTS) -n $(WORKERS) --maxprocesses 8 $(BY_FILE) || { echo "tests failed, as listed above"; exit 1; }
 
 examples: $(VENV)/ci.stamp $(VENV)/core.stamp
-	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8
+	@$(BIN)/python -m pytest tests/project/test_examples.py tests/project/test_framework_examples.py -n $(WORKERS) --maxprocesses 8
 
 # A simulator of Franka's controller that enforces its limits; it needs older packages than armctl, so an environment of its own.
 .franka-sim/stamp:

@@ -435,6 +435,8 @@ class Solutions:
     def doubtful(self) -> bool:
         """Whether the closed form may have missed some."""
 
+LIMIT_ROUNDING: float = 1e-06
+
 NO_BRANCH: int = 27
 
 ROTATION_WEIGHT: float = 0.3333333333333333

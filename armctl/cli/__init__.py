@@ -12,7 +12,7 @@ from types import FrameType
 
 _AGAIN_AFTER_S = 0.01
 _IMPORTING = "<frozen importlib._bootstrap>"
-_INTERRUPTED = 130  # exit status of a program that Ctrl-C ends, 128 + SIGINT
+INTERRUPTED = 130  # exit status of a program that Ctrl-C ends, 128 + SIGINT
 
 
 def program() -> int:
@@ -20,7 +20,7 @@ def program() -> int:
 
     Ctrl-C ends it at any moment with status 130 and without a traceback, also if the parent process ignores SIGINT.
     """
-    status = _INTERRUPTED
+    status = INTERRUPTED
     try:
         try:
             signal.signal(signal.SIGINT, interrupt)
@@ -34,7 +34,7 @@ def program() -> int:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         if not _is_interrupt(error):
             raise
-        status = _INTERRUPTED
+        status = INTERRUPTED
     _end_if_busy(status)
     return status
 
@@ -50,7 +50,7 @@ def _end_if_busy(status: int) -> None:
     Python would end such a thread anyway. The bindings would report the objects in its hands as leaks, and abort where a thread
     returns from compiled code while Python ends.
     """
-    if status == _INTERRUPTED or any(thread.name.startswith("armctl") for thread in threading.enumerate()):
+    if status == INTERRUPTED or any(thread.name.startswith("armctl") for thread in threading.enumerate()):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)

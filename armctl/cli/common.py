@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 DONE = 0
 NOT_REACHED = 1
 WRONG_CALL = 2
-INTERRUPTED = 130
 
 PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, all, or a number of Plant; several joined with +"
 _CHAIN_OPTIONS = {

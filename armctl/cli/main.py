@@ -12,8 +12,21 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from armctl import __version__
-from armctl.cli import compare, identify, iso9283, margins, reach, reachability, robot, robots, simulate, study, view
-from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL, print_json
+from armctl.cli import (
+    INTERRUPTED,
+    compare,
+    identify,
+    iso9283,
+    margins,
+    reach,
+    reachability,
+    robot,
+    robots,
+    simulate,
+    study,
+    view,
+)
+from armctl.cli.common import DONE, WRONG_CALL, print_json
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.uninterrupted import uninterrupted_import
 

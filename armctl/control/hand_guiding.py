@@ -11,7 +11,7 @@ from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.arm.passive_forces import DryFriction, PassiveForces
 
 _FRICTION_SPEED = 0.05  # rad/s (m/s), over which the compensation of dry friction turns: it must not push an arm at rest
-_SPEED_SHARE = 0.5  # of the limit: above it the arm brakes
+_BRAKED_SPEED_SHARE = 0.5  # of the limit: above it the arm brakes
 _RANGE_SHARE = 0.1  # of a joint's range, at both ends, with springs
 _MAX_RANGE_MARGIN = 0.2  # rad (m)
 _TORQUE_SHARE = 0.3  # of the limit, that springs and brakes reach
@@ -49,7 +49,7 @@ class HandGuiding:
         friction = self._passive.damping_torque(v) + self._loss * np.clip(v / _FRICTION_SPEED, -1.0, 1.0)
         inside = np.clip(limits.q_min + self._margin - q, 0.0, self._margin)
         inside = inside - np.clip(q - limits.q_max + self._margin, 0.0, self._margin)
-        free = _SPEED_SHARE * limits.v_max
+        free = _BRAKED_SPEED_SHARE * limits.v_max
         too_fast = np.clip(v, -limits.v_max, limits.v_max) - np.clip(v, -free, free)
         most = _TORQUE_SHARE * np.where(np.isfinite(limits.tau_max), limits.tau_max, 0.0)
         resistance = most * (inside / np.maximum(self._margin, 1e-9) - too_fast / np.maximum(limits.v_max - free, 1e-9))

@@ -9,3 +9,7 @@ SETTLE_TIMEOUT_S = 1.0  # for an arm or a gripper to come to rest
 MIN_DAMPING_RATIO = 0.1  # of a closed loop; below it, a vibration takes more than three periods to fall to a tenth
 AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
 RESTING_S = 0.5  # a joint that moves by less than that speed allows in this time rests, however its sensors make it tremble
+DEFAULT_GRIP_FORCE = 10.0  # N
+CONFIDENCE = 0.95  # of intervals
+FINDING_ERRORS = 3.0  # standard errors, from which a difference is a finding
+MAX_FILE_VALUE = 1e9  # in SI units: a larger number in a file is damaged

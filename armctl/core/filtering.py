@@ -9,7 +9,7 @@ from armctl.core.validation import Array, BoolArray
 _ORDER = 4  # of the Butterworth filter; it runs forward and backward, so the total order is 8
 _MIN_CUTOFF_HZ = 2.0
 _MAX_CUTOFF_HZ = 25.0  # faster parts of a motion are not rigid-body dynamics
-_MAX_NYQUIST_SHARE = 0.4
+MAX_NYQUIST_SHARE = 0.4
 _SEGMENT_S = 2.0  # of the spectrum: a frequency resolution of 0.5 Hz
 _NOISE_FROM_HZ = 25.0  # robots do not move with higher frequencies
 _NOISE_FROM_NYQUIST_SHARE = 0.5  # of the Nyquist frequency, for slow recordings
@@ -25,7 +25,7 @@ def choose_cutoff(positions: Array, dt: float) -> float:
     the median of all joints, in [2, 25] Hz and at most 40 % of the Nyquist frequency.
     """
     nyquist = 0.5 / dt
-    highest = min(_MAX_CUTOFF_HZ, _MAX_NYQUIST_SHARE * nyquist)
+    highest = min(_MAX_CUTOFF_HZ, MAX_NYQUIST_SHARE * nyquist)
     moves = np.ptp(positions, axis=0) > 0
     if not moves.any():
         return highest
@@ -43,7 +43,7 @@ def velocity_cutoff(positions: Array, dt: float, noise_rms: float) -> float:
 
     Up to a cut-off f, position noise of the level S of the spectrum (rad^2/Hz) becomes a velocity of RMS 2 pi sqrt(S f^3 / 3).
     """
-    highest = _MAX_NYQUIST_SHARE * 0.5 / dt
+    highest = MAX_NYQUIST_SHARE * 0.5 / dt
     moves = np.ptp(positions, axis=0) > 0
     if not moves.any():
         return highest

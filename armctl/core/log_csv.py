@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armctl.core.atomic import file_path
+from armctl.core.defaults import MAX_FILE_VALUE
 from armctl.core.errors import InputError
 from armctl.core.file_reading import check_size, reading
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
@@ -31,11 +32,10 @@ _DEFAULT_UNITS = {"t": "s", "q": "rad", "tau": "N m"}
 _SLIDE_UNITS = ("m", "mm")
 _MAX_BYTES = 2_000_000_000
 _MAX_ROWS = 20_000_000  # on the even time grid; more is taken for a wrong unit of time
-_MIN_ROWS = 50
+_MIN_CSV_ROWS = 50
 _MAX_GAP_S = 0.1  # over which positions are interpolated
 _MAX_GAP_STEPS = 5.0  # a slow recording may have longer steps throughout
 _MAX_REPEATS = 3  # equal rows in sequence that are a repeated transmission; more are an arm at rest
-_MAX_VALUE = 1e9  # SI units; more is a damaged number
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,8 +155,8 @@ def _numbers(rows, order: list[int], width: int) -> Array:
         except ValueError:
             text = next((row[k] for k in order if not _is_number(row[k])), "")
             raise InputError(f"line {line}: {text!r:.40} is not a number") from None
-    if len(table) < _MIN_ROWS:
-        raise InputError(f"expected at least {_MIN_ROWS} rows, found {len(table)}")
+    if len(table) < _MIN_CSV_ROWS:
+        raise InputError(f"expected at least {_MIN_CSV_ROWS} rows, found {len(table)}")
     out = np.array(table)
     bad = ~np.isfinite(out).all(axis=1)
     if bad.any():
@@ -184,10 +184,10 @@ def _on_even_grid(names: Mapping[str, list[str]], table: Array, units: Mapping[s
     new = ~_is_repeated(t, table[:, 1:])
     t = t[new] - t[0]
     values = table[new, 1:]
-    if len(t) < _MIN_ROWS:
-        raise InputError(f"only {len(t)} rows differ from the one before, expected at least {_MIN_ROWS}")
-    if np.abs(values).max() > _MAX_VALUE:
-        raise InputError(f"a position or torque is above {_MAX_VALUE:g} in SI units")
+    if len(t) < _MIN_CSV_ROWS:
+        raise InputError(f"only {len(t)} rows differ from the one before, expected at least {_MIN_CSV_ROWS}")
+    if np.abs(values).max() > MAX_FILE_VALUE:
+        raise InputError(f"a position or torque is above {MAX_FILE_VALUE:g} in SI units")
     steps = np.diff(t)
     dt = float(np.median(steps))
     gap = int(steps.argmax())

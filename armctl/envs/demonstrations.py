@@ -131,7 +131,9 @@ def save_demonstrations(
             shutil.rmtree(temporary, ignore_errors=True)
     ok = writer.episodes == episodes
     reason = "" if ok else f"the policy failed in {_MAX_FAILURES} episodes in a row"
-    return DemonstrationsResult(ok, final, writer.episodes, writer.frames, failures, reason)
+    return DemonstrationsResult(
+        ok=ok, folder=final, episodes=writer.episodes, frames=writer.frames, failures=failures, reason=reason
+    )
 
 
 def _record(env: ArmEnv, writer: LeRobotWriter, screen: Screen | None, episodes: int, seed: int, policy: _Policy | None) -> int:

@@ -200,7 +200,7 @@ def iso9283_cycles(
     back = move_j(arm, line(line.duration).q, q[1])
 
     simulation = Simulation(arm, controller, plant)
-    tests = _Tests(simulation, points, q, line, back)
+    tests = _Tests(simulation=simulation, points=points, q=q, line=line, back=back)
     figures: dict[str, object] = {}
     try:
         figures |= tests.poses(legs, cycles)

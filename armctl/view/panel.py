@@ -31,7 +31,7 @@ _PLAY = "play"
 _PAUSE = "pause"
 _RESET = "reset"
 _MIN_OVERRIDE_PERCENT = 5.0
-_MIN_SPEED = 0.05
+_MIN_PLAY_SPEED = 0.05
 _MAX_SPEED = 2.0
 _JOINT_SLIDERS_IDLE_S = 0.5  # joint sliders that were not moved for this long show the simulated joints
 
@@ -127,7 +127,7 @@ class Panel:
             "arm speed, %", _MIN_OVERRIDE_PERCENT, 100.0, 1.0, 100.0, hint="speed override of the arm's motions"
         )
         speed = self._gui.add_slider(
-            "simulation speed", _MIN_SPEED, _MAX_SPEED, 0.05, 1.0, hint="simulated seconds per second; 0.1 is slow motion"
+            "simulation speed", _MIN_PLAY_SPEED, _MAX_SPEED, 0.05, 1.0, hint="simulated seconds per second; 0.1 is slow motion"
         )
         avoid = self._gui.add_checkbox("avoid contacts", session.status.avoiding, hint="off for pressing and grasping")
         contacts = self._gui.add_checkbox("contact forces", False, hint="arrows, 1 cm per N, at most 30 cm")

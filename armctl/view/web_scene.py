@@ -145,7 +145,7 @@ class WebScene:
         hidden_body = -1 if with_marker or target is None else target
         coarse = decimated(arm.model, COARSE_CELL, hidden_body)
         with self._drawing_lock:
-            self._drawing = _Drawing(coarse, mujoco.MjData(coarse), hidden_body, arm.model)
+            self._drawing = _Drawing(model=coarse, data=mujoco.MjData(coarse), hidden_body=hidden_body, not_refined=arm.model)
             self._set_camera(arm, others)
             self.server.gui.set_panel_label(arm.name)
             self._drawn = None

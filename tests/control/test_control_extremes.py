@@ -28,7 +28,7 @@ UNSUPPORTED = ("pd", "pd-feedforward")  # away from its reference, a light arm f
         pytest.param("implicitfast", 0.001, marks=pytest.mark.nightly),
         pytest.param("Euler", 0.004, marks=pytest.mark.nightly),
         pytest.param("implicit", 0.004, marks=pytest.mark.nightly),
-        pytest.param("continuous", 0.004, marks=pytest.mark.full),
+        pytest.param("continuous", 0.004, marks=pytest.mark.nightly),
     ],
 )
 @pytest.mark.parametrize("shape", some_of(SHAPES, ["tapering", "geared", "sliding"]))

@@ -150,7 +150,7 @@ def test_an_error_above_the_noise_of_the_positions_is_not_ok(known, file):
     assert found.judge_rms.max() > 2.5 * found.noise.max()
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_backlash_is_found_where_there_is_one(known, file):
     arm, without = known
     assert not without.parameters.backlash.any()

@@ -9,6 +9,7 @@ from arms import arm_of, some_of
 from synthetic import BENT, serial_arm
 
 import armctl
+from armctl.lab.loops.gain_family import tunable_laws
 
 PLANT = armctl.Plant(timestep=0.002)
 
@@ -18,7 +19,7 @@ def arm(tmp_path_factory):
     return serial_arm(tmp_path_factory.mktemp("planar"), BENT["planar"])
 
 
-@pytest.mark.parametrize("law", some_of(["pd", "computed-torque-observer", "qp"], ["computed-torque-observer"]))
+@pytest.mark.parametrize("law", some_of(tunable_laws(), ["computed-torque-observer"], set(tunable_laws()) - {"pd", "qp"}))
 def test_tuned_gains_satisfy_the_bounds(arm, law):
     found = armctl.tune(arm, law, delay_margin=8e-3, peak_sensitivity=1.65, configurations=3, plants=[PLANT])
     assert found, found.reason

@@ -4,6 +4,7 @@
 """
 
 import ast
+import re
 import subprocess
 import sys
 from collections import Counter, defaultdict
@@ -271,3 +272,74 @@ def test_packages_that_few_functions_need_are_loaded_by_those_functions():
 def test_only_differential_ik_and_other_solvers_load_what_qpsolvers_imports():
     code = "import armctl\narmctl.Simulation(armctl.load('robot_arm_3dof'), controller='qp').step()"
     assert loaded(code, ["qpsolvers", "mink", "jax"]) == []
+
+
+def is_dataclass(node: ast.ClassDef) -> bool:
+    return any("dataclass" in ast.unparse(decorator) for decorator in node.decorator_list)
+
+
+def built_by_position(text: str, classes: set[str]) -> list[str]:
+    """Calls that build one of these dataclasses, by its name or as `cls` in it, with more than three positional arguments."""
+    tree = ast.parse(text)
+    own = {
+        node for scope in ast.walk(tree) if isinstance(scope, ast.ClassDef) and is_dataclass(scope) for node in ast.walk(scope)
+    }
+    return [
+        ast.unparse(node)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) > 3
+        if node.func.id in classes or (node.func.id == "cls" and node in own)
+    ]
+
+
+def test_a_dataclass_of_more_than_three_values_is_built_by_keyword():
+    trees = [ast.parse(text) for text in SOURCES.values()]
+    classes = {node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef) and is_dataclass(node)}
+    assert {"Tuning", "LoopMargins", "ClearanceCheck"} <= classes
+    assert {module: found for module, text in SOURCES.items() if (found := built_by_position(text, classes))} == {}
+
+
+def test_a_dataclass_that_is_built_by_position_is_found():
+    text = "@dataclass\nclass A:\n    def b(cls): return cls(1, 2, 3, 4)\nA(1, 2, 3, d=4)\nA(*a, 1, 2, 3)\n"
+    assert built_by_position(text, {"A"}) == ["A(*a, 1, 2, 3)", "cls(1, 2, 3, 4)"]
+
+
+def python_constants(text: str) -> dict[str, float]:
+    """The numbers that a module gives names in capitals, without leading underscores."""
+    found = {}
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name) and target.id.isupper():
+            try:
+                value = ast.literal_eval(node.value)
+            except ValueError:
+                continue
+            if isinstance(value, int | float):
+                found[target.id.lstrip("_")] = float(value)
+    return found
+
+
+def cpp_constants(text: str) -> dict[str, float]:
+    """The numbers that a C++ file gives names in capitals."""
+    found = re.findall(r"constexpr [\w:]+ ([A-Z][A-Z0-9_]*)\s*=\s*([-+.e\d]+);", text)
+    return {name: float(value) for name, value in found}
+
+
+def test_a_number_has_one_definition():
+    """In Python and in C++: two constants of one name and value are one number, which would be changed in one place only."""
+    places = defaultdict(list)
+    for module, text in SOURCES.items():
+        for item in python_constants(text).items():
+            places[item].append(module)
+    for path in sorted((PACKAGE / "cpp").rglob("*.[ch]pp")):
+        for item in cpp_constants(path.read_text(encoding="utf-8")).items():
+            places[item].append(path.name)
+    assert len(places) > 300
+    assert {item: found for item, found in places.items() if len(found) > 1} == {}
+
+
+def test_the_constants_of_a_source_are_found():
+    assert python_constants("A = 1\n_B_C = 2e-3\nd = 4\nE = A + 1") == {"A": 1.0, "B_C": 2e-3}
+    assert cpp_constants("constexpr double A_B = 1e-6;  // m\nconstexpr int C = 4;\nconstexpr double d = 2.0;") == {
+        "A_B": 1e-6,
+        "C": 4.0,
+    }

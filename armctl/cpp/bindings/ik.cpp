@@ -167,6 +167,7 @@ void bind_chain(nb::module_& module) {
         .def_ro("lost", &Solutions::lost, "Seeds that led to no solution.")
         .def_ro("samples", &Solutions::samples, "Positions of the joint that is swept; 1 for six joints.")
         .def_ro("doubtful", &Solutions::doubtful, "Whether the closed form may have missed some.");
+    module.attr("LIMIT_ROUNDING") = LIMIT_ROUNDING;
     module.attr("NO_BRANCH") = NO_BRANCH;
     module.attr("ROTATION_WEIGHT") = ROTATION_WEIGHT;
     module.attr("SAME_SOLUTION") = SAME_SOLUTION;

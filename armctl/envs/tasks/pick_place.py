@@ -4,7 +4,7 @@ import numpy as np
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array
-from armctl.envs.tasks.tabletop import Cylinder, find_table, load_at_table
+from armctl.envs.tasks.tabletop import TABLETOP_GOALS, TABLETOP_START_SPREAD, TIP_HEIGHT, Cylinder, find_table, load_at_table
 from armctl.envs.tasks.task import ArmSource, Episode, Task
 from armctl.envs.tasks.tool import find_grip, find_tool, jaw_center
 from armctl.plan.ik.problem import ik_chain
@@ -15,10 +15,7 @@ _WIDTH_OF_REACH = 0.06  # of the object, at most
 _MIN_HEIGHT = 0.04  # m
 _DENSITY = 600.0  # kg/m^3
 _FRICTION = 1.0  # as of rubber, to be held
-_TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
 _LIFT = 0.15  # how high the tip moves, in reaches
-_START_SPREAD = 0.03  # rad (m)
-_GOALS = 1024
 _WIDTH_WHEN_AROUND = 2.0  # of the object: how far the jaws are apart when the object is in their middle
 _LIFTED = (0.3, 0.8)  # of the height at which the tip moves, of goals above the table
 
@@ -51,18 +48,18 @@ class PickPlace(Task):
         self.grasp = jaw_center(alone, self.grip, tool, _WIDTH_WHEN_AROUND * width)
         self.height = max(_MIN_HEIGHT, 1.5 * width)  # m, of the object
         mass = _DENSITY * np.pi * (0.5 * width) ** 2 * self.height
-        lift = _TIP_HEIGHT + max(_LIFT * reach, 2.0 * self.height)
+        lift = TIP_HEIGHT + max(_LIFT * reach, 2.0 * self.height)
         margin = float(np.linalg.norm(self.grasp))
-        places = find_table(alone, tool, low=_TIP_HEIGHT, lift=lift, margin=margin, height=0.0, task=self.name)
+        places = find_table(alone, tool, low=TIP_HEIGHT, lift=lift, margin=margin, height=0.0, task=self.name)
         self.arm, self.table = load_at_table(source, places, Cylinder(0.5 * width, self.height, mass, _FRICTION), self.name)
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
-        self.goals = np.array([[self._goal(rng)] for _ in range(_GOALS)])
+        self.goals = np.array([[self._goal(rng)] for _ in range(TABLETOP_GOALS)])
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """A start above the table, a goal in the air, and a place of the object."""
         goal = int(rng.integers(len(self.goals)))
-        return Episode(self.start(rng, _START_SPREAD), goal, object=self.table.place(rng, 0.5 * self.height))
+        return Episode(self.start(rng, TABLETOP_START_SPREAD), goal, object=self.table.place(rng, 0.5 * self.height))
 
     def _goal(self, rng: np.random.Generator) -> Array:
         """(3,) m, a goal above the table."""

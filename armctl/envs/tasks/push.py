@@ -3,7 +3,7 @@
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.envs.tasks.tabletop import Cylinder, find_table, load_at_table
+from armctl.envs.tasks.tabletop import TABLETOP_GOALS, TABLETOP_START_SPREAD, TIP_HEIGHT, Cylinder, find_table, load_at_table
 from armctl.envs.tasks.task import ArmSource, Episode, Task
 from armctl.envs.tasks.tool import find_grip, find_tool
 from armctl.model.mjmodel.queries import placed
@@ -15,10 +15,7 @@ _MAX_HEIGHT = 0.04  # m
 _HEIGHT_SHARE = 1.5  # of the radius, at most: pushed at its top, a higher object falls
 _MASS = 0.2  # kg
 _FRICTION = 0.5  # as of wood on wood; from 1 on, a tool that presses down a little jams the object
-_TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
 _CLEARANCE = 0.03  # m, between the tool and the object below it
-_START_SPREAD = 0.03  # rad (m)
-_GOALS = 1024
 _MIN_WAY = 0.06  # m, between object and goal, or the radius of the area if that is less
 BEHIND = 0.02  # m, between the tool and the object before it pushes
 
@@ -46,12 +43,12 @@ class PushTask(Task):
         self.radius = max(_RADIUS * ik_chain(alone).reach, _SHARE_OF_TOOL * tool.radius)  # m, of the object
         margin = self.radius + tool.radius + BEHIND
         self.height = min(_MAX_HEIGHT, _HEIGHT_SHARE * self.radius)  # m, of the object
-        lift = _TIP_HEIGHT + self.height + _CLEARANCE
-        places = find_table(alone, tool, low=_TIP_HEIGHT, lift=lift, margin=margin, height=self.height, task=self.name)
+        lift = TIP_HEIGHT + self.height + _CLEARANCE
+        places = find_table(alone, tool, low=TIP_HEIGHT, lift=lift, margin=margin, height=self.height, task=self.name)
         self.arm, self.table = load_at_table(source, places, Cylinder(self.radius, self.height, _MASS, _FRICTION), self.name)
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
-        self.goals = np.array([[self.table.place(rng, 0.5 * self.height)] for _ in range(_GOALS)])
+        self.goals = np.array([[self.table.place(rng, 0.5 * self.height)] for _ in range(TABLETOP_GOALS)])
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """A start above the table, a goal, and a place of the object away from it."""
@@ -59,4 +56,4 @@ class PushTask(Task):
         place = self.table.place(rng, 0.5 * self.height)
         while np.linalg.norm(place - self.goals[goal, 0]) < min(_MIN_WAY, self.table.radius):
             place = self.table.place(rng, 0.5 * self.height)
-        return Episode(self.start(rng, _START_SPREAD), goal, object=place)
+        return Episode(self.start(rng, TABLETOP_START_SPREAD), goal, object=place)

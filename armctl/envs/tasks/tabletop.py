@@ -22,6 +22,9 @@ from armctl.plan.ik.solve import solve_ik
 
 # Candidates: radius of the area in which objects and goals are, height and distance from the first joint, in reaches; rad from
 # the direction of the tip at home.
+TABLETOP_GOALS = 1024
+TABLETOP_START_SPREAD = 0.03  # rad (m)
+TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
 _RADII = (0.1, 0.08, 0.06, 0.045)
 _HEIGHTS = (-0.25, -0.15, -0.05, -0.35, 0.05, 0.15)
 _DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35)

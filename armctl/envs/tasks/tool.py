@@ -10,6 +10,8 @@ import numpy as np
 from armctl.core.validation import Array, IntArray
 from armctl.model.arm.arm import Arm
 from armctl.model.mjmodel.queries import is_below
+from armctl.run.sim.gripper.gripper import PAD_SPEED
+from armctl.run.sim.gripper.jaws import MAX_JAW_DISTANCE
 from armctl.run.sim.gripper.model import GripperModel, find_gripper_model, make_usable
 from armctl.run.sim.plant import brake
 
@@ -20,9 +22,7 @@ _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z i
 _ROUND = {int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)}
 _RING = np.array([[np.cos(a), np.sin(a), z] for a in np.arange(8) * np.pi / 4 for z in (-1.0, 1.0)])
 _MAX_TOOL = 0.5  # m from the tip
-_MAX_DISTANCE = 1.0  # m, up to which the distance of jaws is computed
 _SETTLE_TIME = 1.0  # s
-_PAD_SPEED = 0.1  # m/s, of the pads relative to each other
 
 
 class Grip(NamedTuple):
@@ -55,7 +55,7 @@ def find_grip(arm: Arm) -> Grip:
         opened=state_at(arm, gripper, gripper.ctrl[-1]),
         indices=indices,
         ends=np.array([gripper.ctrl[0], gripper.ctrl[-1], gripper.length[0], gripper.length[-1]]),
-        speed=_PAD_SPEED / float(np.ptp(gripper.width)),
+        speed=PAD_SPEED / float(np.ptp(gripper.width)),
     )
 
 
@@ -138,7 +138,7 @@ def _nearest(arm: Arm, grip: Grip, data: mujoco.MjData) -> Array:
     jaws = grip.model.jaws
     if jaws.pads:
         segment = np.zeros(6)
-        mujoco.mj_geomDistance(arm.model, data, *jaws.pads, _MAX_DISTANCE, segment)
+        mujoco.mj_geomDistance(arm.model, data, *jaws.pads, MAX_JAW_DISTANCE, segment)
         return segment.reshape(2, 3)
     return np.array([data.xpos[p.body] + data.xmat[p.body].reshape(3, 3) @ p.position for p in jaws.points])
 

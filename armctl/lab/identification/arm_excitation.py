@@ -27,9 +27,9 @@ _MIN_CONFIGURATIONS = 3
 _TRIES = 200
 _CANDIDATES = 20  # safe motions, of which the best is taken
 _SIZES = (1.0, 0.8, 0.6, 0.4)  # of the range around the start, in turn: wide sets touch something more often
-_MAX_DISTANCE = 1.5  # rad (m) from the start
+MAX_DISTANCE = 1.5  # rad (m) from the start
 _MAX_OTHER_STARTS = 5
-_LIMIT_MARGIN = 0.05  # of a joint's range
+LIMIT_MARGIN = 0.05  # of a joint's range
 TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
 CLEARANCE_M = 0.005  # for the error of the controller
 NOT_PROVED = float("nan")  # m
@@ -166,12 +166,12 @@ def excitation_along(
     motion: JointTrajectory, excites: str, condition_number: float, clearance: float = NOT_PROVED
 ) -> Excitation:
     return Excitation(
-        motion.knots,
-        motion.coefficients,
-        motion.joint_names,
-        motion.limits,
-        motion.slowed,
-        motion.units,
+        knots=motion.knots,
+        coefficients=motion.coefficients,
+        joint_names=motion.joint_names,
+        limits=motion.limits,
+        slowed=motion.slowed,
+        units=motion.units,
         excites=excites,
         condition_number=condition_number,
         clearance=clearance,
@@ -181,9 +181,9 @@ def excitation_along(
 def _waypoints(arm: Arm, start: Array, count: int, size: float, rng: np.random.Generator) -> Array:
     """Random configurations around a start, which is the first and the last; (count + 2, n)."""
     limits = arm.limits
-    low = np.clip(limits.q_min, start - _MAX_DISTANCE, start)
-    high = np.clip(limits.q_max, start, start + _MAX_DISTANCE)
-    margin = _LIMIT_MARGIN * (high - low)
+    low = np.clip(limits.q_min, start - MAX_DISTANCE, start)
+    high = np.clip(limits.q_max, start, start + MAX_DISTANCE)
+    margin = LIMIT_MARGIN * (high - low)
     between = start + size * (rng.uniform(low + margin, high - margin, (count, arm.n)) - start)
     return np.vstack([start, between, start])
 

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.core.defaults import CONFIDENCE
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose, computed_pose, nearest_rotations
 from armctl.core.validation import Array, choice, frozen, matrix
@@ -25,7 +26,6 @@ DEFAULT_PARAMETERS = {
     "hand": ("offsets", "sensor", "marker", "lengths", "axes"),
 }
 _MIN_POSES = 4
-_CONFIDENCE = 0.95
 _RANDOM_CONFIGURATIONS = 200
 _MAX_DISTANCE = np.pi  # rad (m) from home, of random configurations of joints without limits
 # Share of a column's length that other columns leave over. Below it, poses do not separate a parameter from others: 0.1 mm of
@@ -226,7 +226,7 @@ def calibrate_geometry(
     from scipy.special import stdtrit
 
     errors = np.sqrt(np.diag(fit.covariance))
-    half = float(stdtrit(fit.freedom, 0.5 + 0.5 * _CONFIDENCE)) * errors
+    half = float(stdtrit(fit.freedom, 0.5 + 0.5 * CONFIDENCE)) * errors
     distances = [np.linalg.norm(each.left_out, axis=1) for each in (before, fit)]
     rms = [float(np.sqrt(np.mean(each**2))) for each in distances]
     ends = (chain.frame_pose(0, fitted, fit.x).inverse(), chain.frame_pose(arm.n + 3, fitted, fit.x))

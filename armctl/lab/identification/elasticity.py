@@ -79,7 +79,9 @@ def identify_elasticity(arm: Arm, log: Log, motor_positions: ArrayLike | None = 
     names = ", ".join(name for name, is_hidden in zip(arm.joint_names, hidden, strict=True) if is_hidden)
     reason = f"the motion does not show the elasticity of {names:.200}; record a faster one, or both sides" if names else ""
     stiffness = np.divide(1.0, found, out=np.full(arm.n, np.inf), where=~hidden)
-    return ElasticityEstimate(not reason, reason, frozen(stiffness), frozen(found), frozen(errors))
+    return ElasticityEstimate(
+        ok=not reason, reason=reason, elasticity=frozen(stiffness), compliance=frozen(found), compliance_error=frozen(errors)
+    )
 
 
 def _fitted(arm: Arm, log: Log, motors: Array, cutoff: float, from_torques: bool) -> tuple[Array, Array]:

@@ -11,7 +11,14 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.limits import check_speed
 from armctl.core.validation import Array, choice, instance, number
-from armctl.lab.identification.arm_excitation import TORQUE_SHARE, Excitation, arm_excitation, excitation_along
+from armctl.lab.identification.arm_excitation import (
+    LIMIT_MARGIN,
+    MAX_DISTANCE,
+    TORQUE_SHARE,
+    Excitation,
+    arm_excitation,
+    excitation_along,
+)
 from armctl.lab.identification.multisine import multisine_excitation
 from armctl.lab.identification.regressor import condition_number
 from armctl.model.arm.arm import Arm, check_arm
@@ -31,8 +38,6 @@ _SETS = 120  # of configurations, from which the motion is chosen
 _SIZES = 4  # sets of size k keep within 0.5^k of the range around home
 _CONFIGURATIONS = 5  # in a set
 _MAX_FAILED_PLANS = 2  # for each size; more failures have their reason in the arm and not in the set
-_MAX_DISTANCE = 1.5  # rad (m) from home, for each joint
-_LIMIT_MARGIN = 0.05  # of a joint's range
 _REGULARIZATION = 1e-6  # of the information matrix, so that its determinant exists where a parameter is not shown
 _SPEED_FACTORS = (1.0, 0.7, 0.5)  # tried one after another until the torques are small enough
 _SECONDS = 5.0  # by default
@@ -178,9 +183,9 @@ def _motion_through(
 def _ranked_sets(arm: Arm, rng: np.random.Generator) -> list[_Set]:
     """Random sets, those first whose static torques determine a payload's four parameters best."""
     limits = arm.limits
-    low = np.clip(limits.q_min, arm.home - _MAX_DISTANCE, arm.home + _MAX_DISTANCE)
-    high = np.clip(limits.q_max, arm.home - _MAX_DISTANCE, arm.home + _MAX_DISTANCE)
-    margin = _LIMIT_MARGIN * (high - low)
+    low = np.clip(limits.q_min, arm.home - MAX_DISTANCE, arm.home + MAX_DISTANCE)
+    high = np.clip(limits.q_max, arm.home - MAX_DISTANCE, arm.home + MAX_DISTANCE)
+    margin = LIMIT_MARGIN * (high - low)
     low = low + margin
     high = high - margin
     home = limits.clamp(arm.home)

@@ -17,7 +17,7 @@ from armctl.core.result import Verdict
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, IntArray, choice, instance
 from armctl.lab.identification.arm_excitation import Excitation
-from armctl.lab.identification.multisine import joint_index
+from armctl.lab.identification.multisine import MIN_FREQUENCY_HZ, MULTISINE_LINES, MULTISINE_PERIOD_S, joint_index
 from armctl.lab.identification.recorded_response import OF, bound_factor, recorded_response
 from armctl.lab.identification.two_mass import TwoMass, fit_two_mass
 from armctl.lab.loops.linearization import Linearizer
@@ -32,14 +32,11 @@ from armctl.run.sim.simulate import simulate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PERIOD_S = 2.0  # its inverse is the resolution in Hz
 _MEASURED_PERIODS = 6
 # Periods before these, in which the transient decays to this fraction if the limit permits.
 _MIN_SETTLING_PERIODS = 2
 _MAX_SETTLING_PERIODS = 20
 _TRANSIENT = 1e-6
-_LINES = 60
-_MIN_FREQUENCY_HZ = 1.0
 _MAX_FREQUENCY_SHARE = 0.8  # of the Nyquist frequency
 # Root mean square of the excitation, as a fraction of the torque limit. A small one keeps the arm in its linear range; where
 # measurements have noise, it has to be larger.
@@ -53,7 +50,7 @@ _MIN_COHERENCE = 0.5
 _MAX_NONLINEAR_SHARE = 0.1
 _SIGNIFICANT_VARIANCES = 9.0  # squares of what is smaller than three standard deviations of the noise do not count
 _DETECTION_EVERY = 3  # of this many odd lines one is not excited
-_SEED = 0  # of the phases
+_PHASE_SEED = 0  # of the phases
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,7 +270,7 @@ def frequency_response(
     plant = read_plant(plant)
     index = joint_index(arm.joint_names, joint)
     loop = Linearizer(arm, plant).loop_at(law, q)
-    ticks = round(_PERIOD_S / loop.dt)
+    ticks = round(MULTISINE_PERIOD_S / loop.dt)
     lines = _lines(ticks)
     frequency = np.asarray(2 * np.pi * lines / (ticks * loop.dt), dtype=np.float64)
     predicted = loop.sensitivity(frequency)[:, index, index]
@@ -293,7 +290,16 @@ def frequency_response(
         if reason:
             nothing = np.full(len(lines), np.nan)
             unknown = nothing.astype(complex)
-            return FrequencyResponse(False, arm.joint_names[index], frequency, unknown, predicted, nothing, nothing, reason)
+            return FrequencyResponse(
+                ok=False,
+                joint=arm.joint_names[index],
+                frequency=frequency,
+                measured=unknown,
+                predicted=predicted,
+                coherence=nothing,
+                nonlinear=nothing,
+                reason=reason,
+            )
         total = np.array(excited.commands[:count]).reshape(-1, ticks)[settling:] + signal
         runs.append(averaged_response(total, signal, lines))
     run, larger = runs
@@ -376,13 +382,13 @@ def _lines(ticks: int) -> IntArray:
     """The excited lines of the spectrum: about geometric, odd multiples of 1 / period, with odd ones left out between them."""
     odd = np.arange(3, int(_MAX_FREQUENCY_SHARE * ticks / 2) + 1, 2)
     odd = odd[np.arange(len(odd)) % _DETECTION_EVERY < _DETECTION_EVERY - 1]
-    wanted = np.geomspace(_MIN_FREQUENCY_HZ * _PERIOD_S, odd[-1], _LINES)
+    wanted = np.geomspace(MIN_FREQUENCY_HZ * MULTISINE_PERIOD_S, odd[-1], MULTISINE_LINES)
     return np.unique(odd[np.abs(wanted[:, None] - odd).argmin(axis=1)])
 
 
 def _multisine(ticks: int, lines: IntArray, amplitude: float) -> Array:
     """(ticks,) N m, one period of sines with random phases and the given root mean square."""
-    phases = np.random.default_rng(_SEED).uniform(0.0, 2 * np.pi, len(lines))
+    phases = np.random.default_rng(_PHASE_SEED).uniform(0.0, 2 * np.pi, len(lines))
     angles = 2 * np.pi * np.arange(ticks)[:, None] * lines / ticks + phases
     signal = np.sin(angles).sum(axis=1)
     return amplitude * signal / np.std(signal)
@@ -391,4 +397,6 @@ def _multisine(ticks: int, lines: IntArray, amplitude: float) -> Array:
 def standstill(arm: Arm, q: Array, duration: float) -> JointTrajectory:
     coefficients = np.zeros((1, 6, arm.n))
     coefficients[0, 0] = q
-    return JointTrajectory(np.array([0.0, duration]), coefficients, arm.joint_names, arm.limits)
+    return JointTrajectory(
+        knots=np.array([0.0, duration]), coefficients=coefficients, joint_names=arm.joint_names, limits=arm.limits
+    )

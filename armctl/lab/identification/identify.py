@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armctl.core.defaults import FINDING_ERRORS
 from armctl.core.errors import InputError
 from armctl.core.log import Log, LogSource
 from armctl.core.validation import Array, BoolArray, IntArray, choice, flag, frozen, instance, number, shown
@@ -18,7 +19,7 @@ from armctl.model.arm.arm import Arm, check_arm
 
 FRICTION_MODELS = ("none", "coulomb+viscous", "stribeck")
 _MIN_DURATION_S = 2.0
-_MIN_ROWS = 50  # filtered, of the fit
+_MIN_FILTERED_ROWS = 50  # filtered, of the fit
 _MIN_HELD_OUT_SAMPLES = 10
 _MIN_SPEED = 0.02  # rad/s (m/s): a joint that never moves faster stands still
 # A base parameter counts as excited if the data reduce its standard deviation to this share of that before any data.
@@ -29,7 +30,6 @@ _MAX_RELATIVE_ERROR = 0.5  # of the standard deviation of a measured torque
 _MIN_TORQUE_SHARE = 0.01  # of the typical torque: a smaller error is no failure
 _MIN_LIMIT_SHARE = 0.01  # of the torque limit: a typical torque is at least this
 _NOISE_FACTOR = 2.0  # an error up to this factor times the noise of the measured torque is no failure
-_FINDING_ERRORS = 3.0  # standard errors
 _FINDING_SHARE = 0.02  # of the typical torque at 1 rad/s, for friction
 
 
@@ -243,7 +243,7 @@ def _failure(fit: ParameterFit, rms: Array, model_rms: Array, relative: Array) -
 def _reason(fit: ParameterFit, unexcited: tuple[str, ...], condition: float, validation: Validation) -> str:
     arm = fit.regressor.arm
     training = fit.training
-    if len(training) < _MIN_ROWS:
+    if len(training) < _MIN_FILTERED_ROWS:
         return f"only {len(training)} independent samples at a cut-off of {fit.recording.cutoff:.3g} Hz; record a longer motion"
     still = np.abs(training.v).max(axis=0) < _MIN_SPEED
     if still.any():
@@ -267,7 +267,7 @@ def _findings(fit: ParameterFit, errors: Array) -> tuple[str, ...]:
     found = []
     for what, part, turning, sliding in kinds if layout.has_friction else kinds[:1]:
         change = fit.x[part] - regressor.start[part]
-        for i in np.flatnonzero((np.abs(change) > _FINDING_ERRORS * errors[part]) & (np.abs(change) > scale)):
+        for i in np.flatnonzero((np.abs(change) > FINDING_ERRORS * errors[part]) & (np.abs(change) > scale)):
             side = "low" if change[i] > 0 else "high"
             unit = turning if arm.units[i] == "rad" else sliding
             found.append(f"the model's {what} of {arm.joint_names[i]} is {abs(change[i]):.3g}{unit} too {side}")

@@ -294,4 +294,12 @@ def _of_file(arm: Arm, source: str | os.PathLike[str] | None) -> ServoParameters
     stiffness = np.where(is_servo, gains[0], inertia * _BANDWIDTH**2)
     damping = np.where(is_servo & (gains[1] > 0.0), gains[1], 2.0 * inertia * _BANDWIDTH)
     friction = arm.model.dof_frictionloss[arm.dof_adr].copy()
-    return ServoParameters(armature, stiffness, damping, friction, np.zeros(arm.n), np.zeros(arm.n), 0.0)
+    return ServoParameters(
+        armature=armature,
+        stiffness=stiffness,
+        damping=damping,
+        coulomb_friction=friction,
+        offset=np.zeros(arm.n),
+        backlash=np.zeros(arm.n),
+        delay=0.0,
+    )

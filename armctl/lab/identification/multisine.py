@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from armctl.core.errors import InputError, PlanError
+from armctl.core.filtering import MAX_NYQUIST_SHARE
 from armctl.core.validation import Array, IntArray, integer
 from armctl.lab.identification.arm_excitation import (
     CLEARANCE_M,
@@ -14,6 +15,7 @@ from armctl.lab.identification.arm_excitation import (
     Multisine,
     excitation_along,
 )
+from armctl.lab.identification.recorded_response import MIN_FREEDOM
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import collision_checker
 from armctl.model.collision.clearance import clearance_of
@@ -21,15 +23,13 @@ from armctl.plan.motion.torque_limits import check_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import JointSamples, hermite, sample
 
-_PERIOD_S = 2.0  # its inverse is the resolution in Hz
+MULTISINE_PERIOD_S = 2.0  # its inverse is the resolution in Hz
 _PERIODS = 3  # with each set of phases: the transient decays in the first ones, the last is measured
 _FREEDOM = 8  # sets of phases besides one for each joint, by default; the bounds of the response follow from them
-_MIN_FREEDOM = 4
 _MAX_SETS = 1000
-_LINES = 60
-_MIN_FREQUENCY_HZ = 1.0
+MULTISINE_LINES = 60
+MIN_FREQUENCY_HZ = 1.0
 _MAX_FREQUENCY_HZ = 80.0  # links of arms are no rigid bodies above
-_MAX_NYQUIST_SHARE = 0.4
 _KNOTS_PER_PERIOD = 6  # of the highest frequency: quintic pieces are then accurate to 1e-5 of the amplitude
 _TURN_S = 1.0  # between two sets of phases
 # All joints drift, so that none turns in a measured period: dry friction is then constant.
@@ -52,13 +52,13 @@ def multisine_excitation(
     """
     q = arm.limits.clamp(arm.home) if start is None else start
     joints = tuple(range(arm.n)) if joint is None else (joint_index(arm.joint_names, joint),)
-    block = _PERIODS * _PERIOD_S
+    block = _PERIODS * MULTISINE_PERIOD_S
     sets = len(joints) + _FREEDOM if duration is None else min(int((duration - _TURN_S) / block), _MAX_SETS)
-    shortest = (len(joints) + _MIN_FREEDOM) * block + _TURN_S
-    if sets < len(joints) + _MIN_FREEDOM:
+    shortest = (len(joints) + MIN_FREEDOM) * block + _TURN_S
+    if sets < len(joints) + MIN_FREEDOM:
         raise InputError(f"duration: expected at least {shortest:g} s for {len(joints)} joints, got {duration:g} s")
-    highest = min(_MAX_FREQUENCY_HZ, _MAX_NYQUIST_SHARE * 0.5 / arm.dt)
-    lines = odd_lines(highest, _PERIOD_S)
+    highest = min(_MAX_FREQUENCY_HZ, MAX_NYQUIST_SHARE * 0.5 / arm.dt)
+    lines = odd_lines(highest, MULTISINE_PERIOD_S)
     spacing = _TURN_S / np.ceil(_TURN_S * _KNOTS_PER_PERIOD * highest)
     times = spacing * np.arange(round((sets * block + _TURN_S) / spacing) + 1)
     room = np.minimum(arm.limits.q_max - q, q - arm.limits.q_min)[list(joints)].clip(0.0)
@@ -67,8 +67,8 @@ def multisine_excitation(
         name = arm.joint_names[joints[int(drift.argmin())]]
         raise PlanError(f"{arm.name:.80}: {name:.60} has no room to move at q = {np.round(q, 3)}; choose another start")
     unit = _unit_motion(times, lines, sets, len(joints), np.random.default_rng(seed))
-    starts: Array = block * np.arange(1.0, sets + 1) - _PERIOD_S
-    multisine = Multisine(joints, _PERIOD_S, starts, lines)
+    starts: Array = block * np.arange(1.0, sets + 1) - MULTISINE_PERIOD_S
+    multisine = Multisine(joints=joints, period=MULTISINE_PERIOD_S, starts=starts, lines=lines)
     size = _largest_size(arm, joints, unit, spacing, drift, speed)
     direction = (-1.0) ** np.arange(len(joints))  # of the drift: some responses would change more if all were the same
     slow_drift = sample(hermite(*_drift(sets, direction * drift)), times)
@@ -105,19 +105,19 @@ def joint_index(names: tuple[str, ...], joint: int | str) -> int:
 
 def odd_lines(highest: float, period: float) -> IntArray:
     """About geometric odd multiples of 1 / period, from 1 Hz to the highest frequency in Hz."""
-    odd = np.arange(int(_MIN_FREQUENCY_HZ * period) // 2 * 2 + 1, int(highest * period) + 1, 2)
-    wanted = np.geomspace(odd[0], odd[-1], _LINES)
+    odd = np.arange(int(MIN_FREQUENCY_HZ * period) // 2 * 2 + 1, int(highest * period) + 1, 2)
+    wanted = np.geomspace(odd[0], odd[-1], MULTISINE_LINES)
     return np.unique(odd[np.abs(wanted[:, None] - odd).argmin(axis=1)])
 
 
 def _unit_motion(times: Array, lines: IntArray, sets: int, joints: int, rng: np.random.Generator) -> JointSamples:
     """Oscillations (T, joints) whose velocity has the amplitude 1 at low frequencies, from rest to rest."""
-    w = 2 * np.pi * lines / _PERIOD_S
+    w = 2 * np.pi * lines / MULTISINE_PERIOD_S
     amplitudes = 1 / (w * (1 + w / (2 * np.pi * _CORNER_HZ)))
     # The same random phases for all sets, but for a turn by which joints are orthogonal, and one for each set.
     turn = 2 * np.pi * np.arange(sets)[:, None, None] * np.arange(joints)[:, None] / sets
     phases = rng.uniform(0, 2 * np.pi, (1, joints, len(w))) + turn + rng.uniform(0, 2 * np.pi, (sets, 1, len(w)))
-    count = round(_PERIOD_S / times[1])
+    count = round(MULTISINE_PERIOD_S / times[1])
     rotating = np.exp(1j * w * times[:count, None])
     waves = [np.zeros((3, count, joints))]
     for phase in phases:
@@ -125,7 +125,7 @@ def _unit_motion(times: Array, lines: IntArray, sets: int, joints: int, rng: np.
         waves.append(np.array([(rotating @ each).real for each in derivatives]))
     waves.append(waves[0])
     rows = np.empty((3, len(times), joints))
-    block = _PERIODS * _PERIOD_S
+    block = _PERIODS * MULTISINE_PERIOD_S
     which = np.minimum((times + 1e-9) // block, sets).astype(int)
     column = np.arange(len(times)) % count
     old = np.array([waves[k][:, c] for k, c in zip(which, column, strict=True)]).transpose(1, 0, 2)
@@ -143,12 +143,12 @@ def _unit_motion(times: Array, lines: IntArray, sets: int, joints: int, rng: np.
 
 def _drift(sets: int, speed: Array) -> tuple[Array, Array, Array, Array]:
     """Times, positions, velocities, accelerations of the slow motion, which passes zero in the middle of measured periods."""
-    block = _PERIODS * _PERIOD_S
+    block = _PERIODS * MULTISINE_PERIOD_S
     begins = block * np.arange(sets)
-    turn = block - _PERIOD_S - _TURN_S
+    turn = block - MULTISINE_PERIOD_S - _TURN_S
     times = np.concatenate([[0.0], np.sort([*(begins + turn), *(begins + block)]), [block * sets + _TURN_S]])
-    to_middle = block - 0.5 * _PERIOD_S
-    places = np.concatenate([[0.0], np.tile([turn - to_middle, 0.5 * _PERIOD_S], sets), [0.0]])
+    to_middle = block - 0.5 * MULTISINE_PERIOD_S
+    places = np.concatenate([[0.0], np.tile([turn - to_middle, 0.5 * MULTISINE_PERIOD_S], sets), [0.0]])
     moves = np.concatenate([[0.0], np.ones(2 * sets), [0.0]])
     return times, places[:, None] * speed, moves[:, None] * speed, np.zeros((len(times), len(speed)))
 

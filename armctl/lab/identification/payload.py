@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armctl.core.defaults import FINDING_ERRORS
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.result import Verdict
@@ -33,7 +34,6 @@ _MAX_SATURATED_SHARE = 0.05  # of a run that a motor spends at its torque limit
 _MIN_OSCILLATION = 0.2  # rad/s (m/s): smaller differences from the velocity of the reference are noise
 _ROUNDS = 8  # of the fit: inertia is not linear in a payload's centre, and joints differ in noise
 # Standard errors by which friction of the model is too high, or a moment of inertia is above 0, to be reported.
-_FINDING_ERRORS = 3.0
 _STATES = 20  # random states at which the regressor of the mass is compared with that of the centre
 _MIN_INDEPENDENT_SHARE = 1e-6  # of the mass's regressor that is not round-off
 
@@ -79,7 +79,7 @@ class PayloadEstimate(Verdict):
         center = ", ".join(f"{1e3 * c:.1f}+-{1e3 * e:.1f}" if math.isfinite(e) else "not shown" for c, e in known)
         payload = f"{self.mass:.4f}+-{self.mass_error:.4f} kg at [{center}] mm from the tip"
         moments = list(zip(self.inertia.diagonal(), self.inertia_error.diagonal(), strict=True))
-        if any(moment > _FINDING_ERRORS * error for moment, error in moments):
+        if any(moment > FINDING_ERRORS * error for moment, error in moments):
             listed = ", ".join(f"{m:.5f}+-{e:.5f}" if math.isfinite(e) else "not shown" for m, e in moments)
             payload += f", moments of inertia [{listed}] kg m^2"
         return "\n".join([payload, *self.findings])
@@ -301,7 +301,7 @@ def _findings(arm: Arm, frictions: tuple[Array, Array], errors: tuple[Array, Arr
     kinds = (("frictionloss", "N m", "N"), ("damping", "N m s/rad", "N s/m"))
     found = []
     for (what, turning, sliding), friction, error in zip(kinds, frictions, errors, strict=True):
-        for i in np.flatnonzero(friction < -_FINDING_ERRORS * error):
+        for i in np.flatnonzero(friction < -FINDING_ERRORS * error):
             unit = turning if arm.units[i] == "rad" else sliding
             found.append(f"the model's {what} of {arm.joint_names[i]} is {-friction[i]:.3g} {unit} too high")
     return tuple(found)

@@ -6,17 +6,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.filtering import MAX_NYQUIST_SHARE
 from armctl.core.log import Log, LogTorques
 from armctl.core.validation import Array, instance
 from armctl.lab.identification.arm_excitation import Excitation, Multisine
+from armctl.lab.loops.linearization import WHOLE_TICK_TOLERANCE
 from armctl.lab.loops.loop import Loop
 from armctl.lab.loops.state_space import ComplexArray, delay_transfer
 
 OF = ("plant", "closed loop", "sensitivity")
 _RISK = 0.05  # that the true response is outside the bounds
-_WHOLE_TICK_TOLERANCE = 1e-6
-_MIN_FREEDOM = 4  # periods more than joints
-_MAX_NYQUIST_SHARE = 0.4
+MIN_FREEDOM = 4  # periods more than joints
 
 
 class RecordedResponse(NamedTuple):
@@ -93,13 +93,13 @@ def _multisine(log: Log, motion: Excitation, index: int) -> Multisine:
         moving = ", ".join(motion.joint_names[i] for i in multisine.joints)
         raise InputError(f"joint: the motion of {motion.n} joints moves {moving:.80}; the log has {log.q.shape[1]} joints")
     ticks = multisine.period / log.dt
-    if abs(ticks - round(ticks)) > _WHOLE_TICK_TOLERANCE * ticks:
+    if abs(ticks - round(ticks)) > WHOLE_TICK_TOLERANCE * ticks:
         raise InputError(f"log: its interval of {log.dt:g} s must divide the period of {multisine.period:g} s")
     starts = multisine.starts[multisine.starts + multisine.period <= (len(log) - 1) * log.dt]
-    if len(starts) < len(multisine.joints) + _MIN_FREEDOM:
-        raise InputError(f"log: it contains {len(starts)} periods, at least {len(multisine.joints) + _MIN_FREEDOM} are needed")
-    lines = multisine.lines[multisine.lines <= _MAX_NYQUIST_SHARE * 0.5 * ticks]
-    return Multisine(multisine.joints, multisine.period, starts, lines)
+    if len(starts) < len(multisine.joints) + MIN_FREEDOM:
+        raise InputError(f"log: it contains {len(starts)} periods, at least {len(multisine.joints) + MIN_FREEDOM} are needed")
+    lines = multisine.lines[multisine.lines <= MAX_NYQUIST_SHARE * 0.5 * ticks]
+    return Multisine(joints=multisine.joints, period=multisine.period, starts=starts, lines=lines)
 
 
 def _positions(log: Log, positions: ArrayLike | None) -> Array:
@@ -112,7 +112,7 @@ def _positions(log: Log, positions: ArrayLike | None) -> Array:
 def _transformed(multisine: Multisine, dt: float, samples: Array) -> ComplexArray:
     """(k, n, M) the spectrum of samples (T, n) in each period, without what all share, such as drift and gravity."""
     ticks = round(multisine.period / dt)
-    first = np.ceil(multisine.starts / dt - _WHOLE_TICK_TOLERANCE).astype(int)
+    first = np.ceil(multisine.starts / dt - WHOLE_TICK_TOLERANCE).astype(int)
     windows = np.array([samples[start : start + ticks] for start in first])
     spectrum = np.fft.rfft(windows - windows.mean(axis=0), axis=1)
     return spectrum[:, multisine.lines].transpose(1, 2, 0)
@@ -144,7 +144,7 @@ def _checked_loop(loop: Loop | None, log: Log) -> Loop:
     if loop is None:
         raise InputError("loop: a sensitivity needs the law; armctl.linearize(arm, controller, q) gives the loop")
     instance("loop", loop, Loop, "armctl.linearize(arm, controller, q) gives one")
-    if loop.n != log.q.shape[1] or abs(loop.dt - log.dt) > _WHOLE_TICK_TOLERANCE * log.dt:
+    if loop.n != log.q.shape[1] or abs(loop.dt - log.dt) > WHOLE_TICK_TOLERANCE * log.dt:
         raise InputError(
             f"loop: it has {loop.n} joints and a period of {loop.dt:g} s, the log {log.q.shape[1]} and {log.dt:g} s; "
             "linearize with the timestep of the recording"

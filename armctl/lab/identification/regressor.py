@@ -22,7 +22,7 @@ _MIN_MASS_SHARE = 0.02  # of the arm's mass: the least mass from which prior dev
 _MIN_LENGTH_M = 0.03
 _FRICTION_PRIOR = 0.1  # of the torque limit, for Coulomb friction and offset, and for viscous friction at 1 rad/s
 _ROTOR_PRIOR = 0.3  # of the joint's inertia
-_RANK_TOLERANCE = 1e-7  # of the QR factor's largest diagonal element
+_QR_RANK_TOLERANCE = 1e-7  # of the QR factor's largest diagonal element
 _STATES = 200  # random ones, from which structural properties and typical torques follow
 _STATE_ACCELERATION = 5.0  # rad/s^2 (m/s^2)
 _MAX_STATE_SPEED = 3.0  # rad/s (m/s)
@@ -208,7 +208,7 @@ def pivoted_qr(W: Array) -> tuple[Array, IntArray, int]:
     factors: Any = qr(W, mode="r", pivoting=True)
     R, order = factors
     diagonal = np.abs(np.diag(R))
-    return R, np.asarray(order, dtype=np.int64), int((diagonal > _RANK_TOLERANCE * diagonal[0]).sum())
+    return R, np.asarray(order, dtype=np.int64), int((diagonal > _QR_RANK_TOLERANCE * diagonal[0]).sum())
 
 
 def condition_number(W: Array) -> float:

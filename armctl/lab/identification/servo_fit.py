@@ -17,7 +17,7 @@ from armctl.model.arm.arm import Arm
 
 PER_JOINT = ("armature", "stiffness", "damping", "coulomb_friction", "offset", "backlash")
 SETTLING_S = 0.3  # at the beginning, where the state of the arm is not known
-_RANGE = 100.0  # the bounds of armature, stiffness and damping over their values in the file, and reversed
+_MAX_RATIO = 100.0  # the bounds of armature, stiffness and damping over their values in the file, and reversed
 _FRICTION_SHARE = 0.05  # of a joint's typical torque: the unit of dry friction in the fit
 _BACKLASH_UNIT = 0.01  # rad, in the fit
 _START_UNIT = 0.01  # rad, in the fit: of positions at the start from those that are measured
@@ -28,7 +28,7 @@ _SIGNIFICANT = 3.0  # standard errors of a backlash that is not taken for zero
 _MAX_DELAY_S = 0.25
 _START_DELAYS = np.arange(0.0, 0.121, 0.004)
 _DIFFERENT_DELAY_S = 0.012  # between two starts
-_START_SCALES = np.geomspace(1.0 / _RANGE, _RANGE, 17)  # of the stiffness of each joint
+_START_SCALES = np.geomspace(1.0 / _MAX_RATIO, _MAX_RATIO, 17)  # of the stiffness of each joint
 _START_DAMPING_RATIOS = (0.3, 0.6, 1.0, 2.0)
 # Of finite differences, in units of the fit. Rounding of friction's solver, divided by a shorter step, looks like information.
 _STEP = 0.05
@@ -71,9 +71,9 @@ class ServoFit:
         self.z = np.zeros(7 * n + 1)  # (p,) the parameters
         self.z[3 * n : 4 * n] = file.coulomb_friction / self._friction_unit
         self._file_z = self.z.copy()
-        self._low = np.full(7 * n + 1, -np.log(_RANGE))
+        self._low = np.full(7 * n + 1, -np.log(_MAX_RATIO))
         self._low[3 * n :] = np.concatenate([np.zeros(n), np.full(n, -1.0), np.zeros(n), np.full(n, -1.0), [0.0]])
-        self._high = np.full(7 * n + 1, np.log(_RANGE))
+        self._high = np.full(7 * n + 1, np.log(_MAX_RATIO))
         high = [np.full(n, np.inf), np.full(n, 1.0), np.full(n, _MAX_BACKLASH), np.full(n, 1.0), [_MAX_DELAY_S / log.dt]]
         self._high[3 * n :] = np.concatenate(high)
         self._still = np.ptp(log.q, axis=0) < _MIN_TRAVEL_RAD
@@ -159,7 +159,8 @@ class ServoFit:
         shown = slice(0, 3 * self._n)
         ends = np.minimum(self.z - self._low, self._high - self.z)[shown] < _AT_BOUND
         for i in np.flatnonzero(ends & self.free[shown]):
-            return f"{self.names[i]:.80} is at a bound, {_RANGE:g} times or a {_RANGE:g}th of the file's; give a nearer file"
+            bound = f"{_MAX_RATIO:g} times or a {_MAX_RATIO:g}th of the file's"
+            return f"{self.names[i]:.80} is at a bound, {bound}; give a nearer file"
         return ""
 
     def solve(self, evaluations: int = _MAX_EVALUATIONS) -> None:

@@ -144,7 +144,7 @@ def _with_springs(arm: Arm, fits: Sequence[TwoMass], plant: Plant) -> Plant:
 def _misfit(arm: Arm, fits: Sequence[TwoMass], q: Array, plant: Plant) -> float:
     """How much the responses of a plant differ from the measured ones, in magnitude: delays have no effect."""
     linear = linear_arm(arm, q, plant)
-    system = StateSpace(linear.A, linear.B, linear.C[: arm.n], np.zeros((arm.n, arm.n)))
+    system = StateSpace(A=linear.A, B=linear.B, C=linear.C[: arm.n], D=np.zeros((arm.n, arm.n)))
     total = 0.0
     for fit in fits:
         joint = arm.joint_names.index(fit.joint)
@@ -173,7 +173,20 @@ def fit_two_mass(response: MeasuredResponse) -> TwoMass:
         inertia, viscous = np.exp(rigid[[1, 4]])
         delay = float(rigid[6] / fit.w[-1])
         return TwoMass(
-            False, response.joint, side, nan, nan, nan, nan, nan, nan, float(inertia), float(viscous), delay, reason, response
+            ok=False,
+            joint=response.joint,
+            side=side,
+            resonance=nan,
+            resonance_error=nan,
+            antiresonance=nan,
+            damping_ratio=nan,
+            stiffness=nan,
+            motor_inertia=nan,
+            link_inertia=float(inertia),
+            viscous_friction=float(viscous),
+            delay=delay,
+            reason=reason,
+            response=response,
         )
     return TwoMass(
         ok=True,

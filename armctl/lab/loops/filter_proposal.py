@@ -116,11 +116,13 @@ def propose_filter(
                 continue
             is_better = best is None or (factor, -after.peak_sensitivity) > (best.factor, -best.after.peak_sensitivity)
             if is_better:
-                best = FilterProposal(True, proposed, filters, factor, before, after, "")
+                best = FilterProposal(
+                    ok=True, controller=proposed, filters=filters, factor=factor, before=before, after=after, reason=""
+                )
             break
     if best is None:
         reason = f"no filter and no lower gains give a delay margin of {1e3 * delay_margin:g} ms and Ms {peak_sensitivity:g}"
-        return FilterProposal(False, law, (), 1.0, before, before, reason)
+        return FilterProposal(ok=False, controller=law, filters=(), factor=1.0, before=before, after=before, reason=reason)
     return best
 
 

@@ -24,7 +24,7 @@ from armctl.run.sim.plant import Plant, read_plant
 
 _POSITION_STEP = 1e-6  # rad (m), and rad/s (m/s), of the central differences of the plant
 _TORQUE_STEP = 1e-4  # of the torque limits
-_WHOLE_TICK_TOLERANCE = 1e-6
+WHOLE_TICK_TOLERANCE = 1e-6
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)  # time, positions, velocities, activations, histories of commands
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 _SENSOR_TICKS = 1000  # after which the ages of measurements repeat, nearly if their interval is no whole number of ticks
@@ -151,7 +151,7 @@ class Linearizer:
         moved = arm.joint_map
         self._written = np.concatenate([1 + moved.qpos_adr, 1 + model.nq + moved.dof_adr, *further])
         longest = float(model.actuator_delay[motors].max())
-        self._past_torques = math.ceil(longest / self.dt - _WHOLE_TICK_TOLERANCE)
+        self._past_torques = math.ceil(longest / self.dt - WHOLE_TICK_TOLERANCE)
         self._plant_in_words = str(self.plant)
         self._noise = _sensor_noise(arm, self.plant)
         ages = self.plant.sensor_delay + self._train.sensors.ages(np.arange(_SENSOR_TICKS), self.dt)
@@ -190,7 +190,7 @@ class Linearizer:
         """The loop of the plant and a controller at q, with s of further delay."""
         arm = self.arm
         ticks = round(delay / self.dt)
-        if abs(delay / self.dt - ticks) > _WHOLE_TICK_TOLERANCE:
+        if abs(delay / self.dt - ticks) > WHOLE_TICK_TOLERANCE:
             raise InputError(f"delay: expected a whole number of control periods of {self.dt:g} s, got {delay:g} s")
         linear = self.arm_at(q)
         if traits(controller).needs_deflection:
@@ -334,4 +334,4 @@ def _sensed(arm: LinearArm, is_differenced: bool, shares: Array) -> tuple[StateS
         output[:, first : first + signals] = np.eye(signals)
         read += np.tile(share, signals // n)[:, None] * output
         first += signals
-    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), read, np.zeros((signals, n))), added
+    return StateSpace(A=A, B=np.vstack([arm.B, np.zeros((added, n))]), C=read, D=np.zeros((signals, n))), added

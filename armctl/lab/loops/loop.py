@@ -145,7 +145,7 @@ class Loop:
         B = np.zeros((size, n))
         B[:moving] = self._arm.B
         law = replace(self._law, C=-self._law.C, D=-self._law.D)
-        return DelayedCascade(A, B, output, np.zeros((n, n)), (self._arm, law), weights)
+        return DelayedCascade(A=A, B=B, C=output, D=np.zeros((n, n)), parts=(self._arm, law), weights=weights)
 
     @cached_property
     def _margins(self) -> LoopMargins:
@@ -357,7 +357,7 @@ class Loop:
         n = self.n
         outputs = np.vstack([self._arm.C, self._position])
         inputs = np.hstack([self._arm.B, self._push])
-        arm = StateSpace(self._arm.A, inputs, outputs, np.zeros((len(outputs), 2 * n))).transfer(z)
+        arm = StateSpace(A=self._arm.A, B=inputs, C=outputs, D=np.zeros((len(outputs), 2 * n))).transfer(z)
         law = self._law.transfer(z) * delay_transfer(self.delay_weights, z)[:, None, None]
         signals = len(self._arm.C)
         seen = np.linalg.solve(np.eye(signals) - arm[:, :signals, :n] @ law, arm[:, :signals, n:])

@@ -92,7 +92,16 @@ def _margins(loop: StateSpace, dt: float, has_gain: bool) -> LoopMargins:
     radius = float(np.abs(poles).max())
     if not radius < 1.0:
         reason = f"the closed loop is unstable: an eigenvalue has the magnitude {radius:.4g}"
-        return LoopMargins(False, 0.0, 1.0, 1.0, 0.0, inf, radius, reason)
+        return LoopMargins(
+            ok=False,
+            delay_margin=0.0,
+            lower_gain_margin=1.0,
+            upper_gain_margin=1.0,
+            phase_margin=0.0,
+            peak_sensitivity=inf,
+            spectral_radius=radius,
+            reason=reason,
+        )
     frequencies = _frequencies(loop, dt, poles)
     transfer = loop.transfer(np.exp(1j * frequencies * dt))
     eigenvalues = _complex_eigenvalues(transfer)

@@ -117,7 +117,7 @@ def _static(run: _Run, n: int) -> StateSpace:
     rows = run(np.vstack([np.diag(sizes), -np.diag(sizes)]))
     difference = rows[: len(sizes)] - rows[len(sizes) :]
     nothing = np.zeros((0, 0))
-    return StateSpace(nothing, np.zeros((0, 2 * n)), np.zeros((n, 0)), (difference / (2 * sizes[:, None])).T)
+    return StateSpace(A=nothing, B=np.zeros((0, 2 * n)), C=np.zeros((n, 0)), D=(difference / (2 * sizes[:, None])).T)
 
 
 _Run = Callable[[Array], Array]

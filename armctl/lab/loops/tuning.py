@@ -36,7 +36,7 @@ _DESIGN_CONFIGURATIONS = 10
 _DESIGN_CONFIGURATIONS_WITH_MODEL = 2
 # Of the bounds, in the design, whose margins are accurate to it.
 _RESERVE = 1.003
-_TOLERANCE = 0.001  # of the logarithms of the bounds, to which the design meets them
+_BOUND_TOLERANCE = 0.001  # of the logarithms of the bounds, to which the design meets them
 _ROUNDS = 12  # of design and search for configurations that violate the bounds
 _EXACT_ROUNDS = 6  # after which each further round keeps more of a distance from the bounds, by this factor
 _MORE_RESERVE = 1.02
@@ -198,9 +198,17 @@ def tune(
         if any(linearizer.is_elastic for linearizer in judge.linearizers):
             reason += " on elastic joints, which it takes as rigid (ElasticFeedforward knows the springs)"
         reason += f" on {arm.name:.80}, among {min(_SCALES):g} to {max(_SCALES):g} times the default ones"
-        return Tuning(False, default, (), {}, before, before, reason)
+        return Tuning(ok=False, controller=default, active=(), gains={}, before=before, after=before, reason=reason)
     tuned = family.controller(x)
-    return Tuning(True, tuned, judge.design.active(family, x), family.gains(x), before, judge.figures(loops), "")
+    return Tuning(
+        ok=True,
+        controller=tuned,
+        active=judge.design.active(family, x),
+        gains=family.gains(x),
+        before=before,
+        after=judge.figures(loops),
+        reason="",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,7 +276,7 @@ class _Design:
             x = np.log(scale) * family.scaling
             x[list(family.softened)] += np.log(ratio)
             left, cost = self._evaluated(family.controller(x))
-            if left.min() >= -_TOLERANCE:
+            if left.min() >= -_BOUND_TOLERANCE:
                 within.append((cost, x))
             elif left.min() > _UNSTABLE:
                 beyond.append(((float(left.min()), float(left.mean())), x))
@@ -397,7 +405,7 @@ class _Design:
     def violated(self, controller: Controller) -> str:
         """The bound that a controller violates most, or nothing."""
         left, _ = self._evaluated(controller)
-        if left.min() >= -_TOLERANCE:
+        if left.min() >= -_BOUND_TOLERANCE:
             return ""
         k = int(left.argmin())
         return "chatter" if k == len(left) - 1 else ("delay margin", "peak sensitivity")[k // self._arm.n % 2]
@@ -411,7 +419,7 @@ class _Design:
         return tuple(found)
 
     def _is_feasible(self, controller: Controller) -> bool:
-        return bool(self._evaluated(controller)[0].min() >= -_TOLERANCE)
+        return bool(self._evaluated(controller)[0].min() >= -_BOUND_TOLERANCE)
 
 
 class _Judge:
@@ -442,7 +450,7 @@ class _Judge:
         """The worst cases that violate a bound, and all loops that were judged. They are searched for if no known one does."""
         known, found = self._known(controller)
         left = [float(self._bounds.left(each).min()) for each in found]
-        worst = [self._cases[i] for i in np.argsort(left)[:_ADDED] if left[i] < -_TOLERANCE]
+        worst = [self._cases[i] for i in np.argsort(left)[:_ADDED] if left[i] < -_BOUND_TOLERANCE]
         if worst and self._has_searches:
             return worst, []
         judged = self._judged(controller, known, found)

@@ -8,11 +8,11 @@ from math import ceil, floor, inf, nan
 
 import numpy as np
 
+from armctl.core.defaults import CONFIDENCE
 from armctl.core.validation import Array, BoolArray
 
-CONFIDENCE = 0.95
 _RESAMPLES = 2000
-_SEED = 0  # of the bootstrap: the same runs give the same intervals
+_BOOTSTRAP_SEED = 0  # of the bootstrap: the same runs give the same intervals
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,6 @@ def _ranks(count: int) -> tuple[float, float]:
         batch=max(1, 10_000_000 // count),
         confidence_level=CONFIDENCE,
         method="percentile",
-        rng=np.random.default_rng(_SEED),
+        rng=np.random.default_rng(_BOOTSTRAP_SEED),
     ).confidence_interval
     return float(interval.low), float(interval.high)

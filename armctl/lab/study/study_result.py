@@ -140,7 +140,13 @@ class StudyResult(Verdict):
         names = [metrics] if isinstance(metrics, str) else list(metrics)
         for metric in names:
             self._check("metrics", metric)
-        return StudySummary(self.ok, self.reason, self.study.name, tuple(names), summarize(self._columns, self._labels, names))
+        return StudySummary(
+            ok=self.ok,
+            reason=self.reason,
+            name=self.study.name,
+            metrics=tuple(names),
+            controllers=summarize(self._columns, self._labels, names),
+        )
 
     def sensitivity(self, metric: str = "tip_rms_m", controller: str | None = None) -> Sensitivity:
         """Sobol indices: which factor explains how much of the variance of a metric.
@@ -334,7 +340,7 @@ def study_result(study: StudyPlan, outcomes: Mapping[str, Outcome]) -> StudyResu
 def _with_columns(study: StudyPlan, total: int, columns: Mapping[str, np.ndarray]) -> StudyResult:
     missing = total - len(columns["run"])
     reason = f"{missing} of {total} runs are not finished" if missing else ""
-    return StudyResult(not missing, reason, study, columns)
+    return StudyResult(ok=not missing, reason=reason, study=study, _columns=columns)
 
 
 def _column(name: str, values: Any) -> np.ndarray:

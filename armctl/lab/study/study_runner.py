@@ -177,7 +177,13 @@ class StudyRunner:
             raise InputError(f"motion: it is for the joints {', '.join(self._motion['joint_names']):.120}")
         knots: Array = np.array(self._motion["knots"])
         coefficients: Array = np.array(self._motion["coefficients"])
-        motion = JointTrajectory(knots, coefficients, self.arm.joint_names, self.arm.limits, units=self.arm.units)
+        motion = JointTrajectory(
+            knots=knots,
+            coefficients=coefficients,
+            joint_names=self.arm.joint_names,
+            limits=self.arm.limits,
+            units=self.arm.units,
+        )
         return motion if speed == 1.0 else motion.scaled(speed)
 
     def controller(self, run: StudyRun) -> Controller:

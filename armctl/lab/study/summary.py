@@ -16,7 +16,7 @@ from armctl.lab.study.plan import StudyPlan
 from armctl.lab.study.statistics import CONFIDENCE, Estimate, median, paired_differences, success
 
 _RESAMPLES = 500
-_SEED = 0
+_RESAMPLING_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def sobol_indices(study: StudyPlan, values: Array, metric: str, controller: str)
     blocks = values.reshape(len(names) + 2, -1, study.repeats).mean(axis=2)
     samples = blocks.shape[1]
     indices = _indices(blocks)
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(_RESAMPLING_SEED)
     resampled = np.array([_indices(blocks[:, rng.integers(samples, size=samples)]) for _ in range(_RESAMPLES)])
     low, high = np.quantile(resampled, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE], axis=0)
     found = [
@@ -167,7 +167,7 @@ def sobol_indices(study: StudyPlan, values: Array, metric: str, controller: str)
     narrow = widest <= _WIDEST_INTERVAL
     reason = "" if narrow else f"an interval is {widest:.2f} wide; take more samples than {study.samples}"
     ranked = tuple(sorted(found, key=lambda each: -each.total.value))
-    return Sensitivity(narrow, reason, metric, controller, samples, ranked)
+    return Sensitivity(ok=narrow, reason=reason, metric=metric, controller=controller, samples=samples, factors=ranked)
 
 
 def _indices(blocks: Array) -> Array:

@@ -33,7 +33,7 @@ from armctl.model.mjmodel.edit import add_payload
 
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
 _TWO_TURNS = 4.0 * math.pi  # rad (m)
-_ROUNDING = 1e-9  # relative, of a torque limit that was divided by a gear and multiplied by it
+_GEAR_ROUNDING = 1e-9  # relative, of a torque limit that was divided by a gear and multiplied by it
 
 
 class Recipe(Protocol):
@@ -141,7 +141,7 @@ class Arm:
     def motor_torque_limits(self) -> Array:
         """(n,) N m, the largest torques in a simulation: `limits.tau_max`, or less where the model's motor is weaker."""
         own = np.abs(self.gear) * self.model.actuator_forcerange[self.actuation.motor_adr, 1]
-        return np.where(self.limits.tau_max > own * (1 + _ROUNDING), own, self.limits.tau_max)
+        return np.where(self.limits.tau_max > own * (1 + _GEAR_ROUNDING), own, self.limits.tau_max)
 
     @property
     def gear(self) -> Array:

@@ -122,13 +122,13 @@ def build_pinocchio_model(
     T_last_tip = frames[chain_length - 1].actInv(T_world_tip)
     tip_frame = pin_model.addFrame(pin.Frame("tip", chain_length, 0, T_last_tip, pin.FrameType.OP_FRAME))
     return PinocchioModel(
-        joint_map,
-        pin_model,
-        tip_frame,
-        frozen(np.array(placements[:chain_length])),
-        frozen(is_slide[:chain_length]),
-        frozen(T_last_tip.homogeneous),
-        support,
+        joint_map=joint_map,
+        pin_model=pin_model,
+        tip_frame=tip_frame,
+        placements=frozen(np.array(placements[:chain_length])),
+        is_slide=frozen(is_slide[:chain_length]),
+        T_last_tip=frozen(T_last_tip.homogeneous),
+        gravity_support=support,
     )
 
 

@@ -124,7 +124,9 @@ def check_clearance(
     kept = read_kept_axis(arm, keep, keep_within, trajectory(0.0).q)
     checker = collision_checker(arm, allow=allow)
     if checker.not_checkable:
-        return ClearanceCheck(False, _UNKNOWN, _UNKNOWN, "", "", clearance, checker.not_checkable)
+        return ClearanceCheck(
+            ok=False, distance=_UNKNOWN, time=_UNKNOWN, first="", second="", clearance=clearance, reason=checker.not_checkable
+        )
     return clearance_of(checker, trajectory, clearance, kept)
 
 
@@ -147,12 +149,23 @@ def _clearance_of(
     hit = approach.nearest
     has_pairs = bool(len(checker.geometry.pairs))
     if approach.bound >= 0.0 and not has_pairs:
-        return ClearanceCheck(True, _NO_PAIRS_M, 0.0, "", "", clearance, "")
+        return ClearanceCheck(ok=True, distance=_NO_PAIRS_M, time=0.0, first="", second="", clearance=clearance, reason="")
     if approach.bound >= 0.0:
-        return ClearanceCheck(True, approach.bound, hit.time, *checker.names(hit.pair), clearance, "")
+        first, second = checker.names(hit.pair)
+        return ClearanceCheck(
+            ok=True, distance=approach.bound, time=hit.time, first=first, second=second, clearance=clearance, reason=""
+        )
     if keep is not None and checker.tilts(hit):
         what = f"the tip's {keep.name} axis tilts by more than {keep.within:.3g} rad, at {hit.time:.3f} s"
-        return ClearanceCheck(False, approach.distance if has_pairs else _NO_PAIRS_M, hit.time, "", "", clearance, what)
+        return ClearanceCheck(
+            ok=False,
+            distance=approach.distance if has_pairs else _NO_PAIRS_M,
+            time=hit.time,
+            first="",
+            second="",
+            clearance=clearance,
+            reason=what,
+        )
     q = trajectory(hit.time).q
     pair, distance = checker.nearest(q)
     first, second = checker.names(pair)
@@ -163,4 +176,12 @@ def _clearance_of(
     else:
         distance = -max(checker.depth(q, pair), 0.0)
         what = f"{second} is {-1e3 * distance:.1f} mm inside {first}"
-    return ClearanceCheck(False, distance, hit.time, first, second, clearance, f"{what}, at {hit.time:.3f} s")
+    return ClearanceCheck(
+        ok=False,
+        distance=distance,
+        time=hit.time,
+        first=first,
+        second=second,
+        clearance=clearance,
+        reason=f"{what}, at {hit.time:.3f} s",
+    )

@@ -204,7 +204,9 @@ def _geometry(
     first_geoms, second_geoms = np.ascontiguousarray(pairs.T, np.int64)
     margins = np.ascontiguousarray(margins, np.float64)
     core = CollisionModel(**arrays, first_geoms=first_geoms, second_geoms=second_geoms, margins=margins)
-    return Geometry(geom_ids, shapes, frames, arrays, core, frozen(pairs), frozen(margins))
+    return Geometry(
+        geom_ids=geom_ids, shapes=shapes, frames=frames, arrays=arrays, core=core, pairs=frozen(pairs), margins=frozen(margins)
+    )
 
 
 def _arrays(frames: Frames, shapes: Sequence[GeomShape], joint_map: JointMap) -> dict[str, Any]:

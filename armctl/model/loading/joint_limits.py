@@ -141,7 +141,16 @@ def joint_limits(
     sources = {k: "default" if getattr(given, k) is None else given.source for k in ("v_max", "a_max", "j_max")}
     if has_curve.any():
         sources["v_max"] = "no-load speed" if has_curve.all() else f"no-load speed, {sources['v_max']}"
-    limits = Limits(q_min, q_max, v_max, a_max, j_max, tau_max, stall, no_load)
+    limits = Limits(
+        q_min=q_min,
+        q_max=q_max,
+        v_max=v_max,
+        a_max=a_max,
+        j_max=j_max,
+        tau_max=tau_max,
+        stall_torque=stall,
+        no_load_speed=no_load,
+    )
     return limits, {"q_min": "model", "q_max": "model", **sources}
 
 
@@ -321,7 +330,7 @@ def _assumed_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission]
     worst = np.zeros(len(joints))
     q_min, q_max = position_limits(model, transmissions)
     unlimited = np.full(len(joints), np.inf)
-    limits = Limits(q_min, q_max, unlimited, unlimited, unlimited, unlimited)
+    limits = Limits(q_min=q_min, q_max=q_max, v_max=unlimited, a_max=unlimited, j_max=unlimited, tau_max=unlimited)
     drawn = model.qpos0[model.jnt_qposadr[joints]]
     for q in limits.random(limits.clamp(drawn), _TORQUE_SAMPLES, np.random.default_rng(0)):
         qpos = model.qpos0.copy()

@@ -15,9 +15,9 @@ import numpy as np
 from armctl.core.validation import Array, BoolArray
 from armctl.model.loading.home import home_qpos
 from armctl.model.loading.inertias import MIN_MASS_KG
+from armctl.model.loading.neighbor_contacts import RANDOM_CONFIGURATIONS
 from armctl.model.mjmodel.queries import Joints, body_name, colliding_geoms, joint_range, object_id, robot_roots
 
-_RANDOM_CONFIGURATIONS = 20
 _ROUNDING_M = 1e-6  # masses of a body that fills its shape exactly count as inside
 # The faces and corners of a cube, projected on the sphere.
 _GRID = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)], float)
@@ -92,7 +92,7 @@ def _outside_of_neighbors(
     home = home_qpos(model, joints)
     rng = np.random.default_rng(0)
     scalar = [j for j in range(model.njnt) if model.body_weldid[model.jnt_bodyid[j]] in links and model.jnt_type[j] >= 2]
-    for sample in range(_RANDOM_CONFIGURATIONS + 1):
+    for sample in range(RANDOM_CONFIGURATIONS + 1):
         data.qpos[:] = home
         for joint in scalar if sample else ():
             low, high = joint_range(model, joint)

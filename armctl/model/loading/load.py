@@ -354,7 +354,15 @@ def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None =
     links_without_contact_rules: frozenset[str] = frozenset()
     if source.urdf is not None and not _lists_all_pairs(semantics, source.urdf, is_given=srdf is not None):
         links_without_contact_rules = frozenset(link.get("name", "") for link in source.urdf.root.findall("link"))
-    return _RobotSpec(spec, tuple(notes), tuple(info_notes), semantics, links_without_contact_rules, unread, drawn)
+    return _RobotSpec(
+        spec=spec,
+        notes=tuple(notes),
+        info_notes=tuple(info_notes),
+        srdf=semantics,
+        links_without_contact_rules=links_without_contact_rules,
+        unread=unread,
+        drawn=drawn,
+    )
 
 
 def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:

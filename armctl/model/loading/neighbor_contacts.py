@@ -8,7 +8,7 @@ import numpy as np
 from armctl.model.loading.home import home_qpos
 from armctl.model.mjmodel.queries import Joints, acts, last_joint_above, stands_alone
 
-_RANDOM_CONFIGURATIONS = 20
+RANDOM_CONFIGURATIONS = 20
 _LEVEL_M = 1e-3  # a surface that is drawn at the height of the base may differ from it by this much
 
 
@@ -45,7 +45,7 @@ def unavoidable_contacts(model: mujoco.MjModel, joints: Joints) -> list[tuple[st
         if is_pair and _carries(model, data, ground, int(model.jnt_bodyid[joints[0]])):
             pairs.add((min(body, link), max(body, link)))
     rng = np.random.default_rng(0)
-    for _ in range(_RANDOM_CONFIGURATIONS if pairs else 0):
+    for _ in range(RANDOM_CONFIGURATIONS if pairs else 0):
         data.qpos[:] = home_qpos(model, joints)
         for joint in joints:
             low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)

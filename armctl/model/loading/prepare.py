@@ -73,7 +73,7 @@ def make_arm_model(
         edit(spec)
     model = source.compile(spec)
     renumbered = tuple(replace(plan, tip=replace(plan.tip, body=bodies[plan.tip.body].id)) for plan in plans)
-    return PreparedModel(model, renumbered, tuple(notes), tuple(excluded))
+    return PreparedModel(model=model, plans=renumbered, notes=tuple(notes), info_notes=tuple(excluded))
 
 
 def _exclude_touching(
@@ -112,4 +112,4 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
     mujoco.mj_setConst(model, mujoco.MjData(model))
     mended = mend_solver(model, model.opt)
     quiet = [] if find_target(model) else ["the model has no target marker, and a compiled model cannot get one"]
-    return PreparedModel(model, tuple(plans), tuple(notes), (*mended, *quiet))
+    return PreparedModel(model=model, plans=tuple(plans), notes=tuple(notes), info_notes=(*mended, *quiet))

@@ -234,7 +234,7 @@ class Scene:
             number("mass", mass, 1e-6)
         pose = at if isinstance(at, Pose) else Pose(vector("at", at, 3))
         self._names.add(name)
-        self.items.append(Item(name, shape, size, pose, mass))
+        self.items.append(Item(name=name, shape=shape, size=size, pose=pose, mass=mass))
         return self
 
 

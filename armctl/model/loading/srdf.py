@@ -70,7 +70,7 @@ def read_srdf(path: Path) -> Srdf:
     for state in root.findall("group_state"):
         positions = states.setdefault(state.get("name", "").lower(), {})
         positions.update(_positions(state, path))
-    return Srdf(path, frozenset(disabled - enabled), groups, states)
+    return Srdf(path=path, disabled=frozenset(disabled - enabled), groups=groups, states=states)
 
 
 def apply_srdf(spec: mujoco.MjSpec, srdf: Srdf) -> list[str]:

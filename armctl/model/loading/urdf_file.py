@@ -45,7 +45,7 @@ def read_urdf_file(path: Path) -> UrdfFile:
     notes = [*_drop_repeated(root), *_complete_inertials(root)]
     if notes:
         text = ElementTree.tostring(root, encoding="unicode")
-    return UrdfFile(path, root, text, tuple(notes))
+    return UrdfFile(path=path, root=root, text=text, notes=tuple(notes))
 
 
 def parse_xml(content: bytes, path: Path) -> ElementTree.Element:

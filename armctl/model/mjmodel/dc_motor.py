@@ -65,7 +65,11 @@ def dc_motor(model: mujoco.MjModel, actuator: int, gear: float, nominal: list[tu
     voltage = min(voltages, default=float("inf"))
     size = abs(gear)
     return DcMotor(
-        actuator, voltage, size * constant * voltage / resistance, voltage / constant / size, _features(model, actuator)
+        actuator=actuator,
+        voltage=voltage,
+        stall_torque=size * constant * voltage / resistance,
+        no_load_speed=voltage / constant / size,
+        features=_features(model, actuator),
     )
 
 

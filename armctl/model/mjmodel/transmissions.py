@@ -142,7 +142,9 @@ class Transmissions:
         if reason := _why_not_one_motor(model, driving):
             return f"joint {name} is moved by {names}, and {reason}: one motor cannot replace them; delete all but one of them"
         gears = {actuator: self.gear_of(actuator, coupled) for actuator in added}
-        return Transmission(joint, first, self.moments[first], coupled, gears, tuple(idle))
+        return Transmission(
+            joint=joint, actuator=first, moments=self.moments[first], coupled=coupled, added=gears, idle=tuple(idle)
+        )
 
     def _driving(self, coupled: dict[int, Mimic]) -> tuple[list[int], list[int]]:
         """The actuators that drive coupled joints, and those that are switched off.

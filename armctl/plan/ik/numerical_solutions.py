@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl import _core
-from armctl._core import SAME_SOLUTION, Constraint
+from armctl._core import LIMIT_ROUNDING, SAME_SOLUTION, Constraint
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.plan.ik import lm
 from armctl.plan.ik.closed_form_solutions import MIN_SAMPLES, Solutions
@@ -22,7 +22,6 @@ STARTS_PER_CALL = 32  # of the core
 PATIENCE = 300  # random starts without a new solution, after which the search ends
 SWEEP_PATIENCE = 12  # the same for each further sample of a sweep, which begins at the solutions of the sample before
 SOLUTIONS_PER_SAMPLE = 4  # fewest to expect: it determines the number of samples of a sweep
-LIMIT_ROUNDING = 1e-6  # rad, or reaches: a solution that much outside the limits is moved to the limit
 CONDITION_SAMPLES = 16  # configurations at which the choice of swept joints is judged
 
 

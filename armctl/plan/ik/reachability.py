@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from armctl import _core
 from armctl._core import Constraint
 from armctl.core.atomic import atomic_path, file_path
+from armctl.core.defaults import MAX_FILE_VALUE
 from armctl.core.errors import InputError
 from armctl.core.file_reading import read_npz, reading
 from armctl.core.plotting import finish_figure
@@ -42,7 +43,6 @@ POSITION_TOLERANCE = 1e-5  # m
 ORIENTATION_TOLERANCE = 1e-4  # rad
 FULL_ROTATIONS = (np.sqrt(2.0), 1.533751168755204288)  # constants of the super-Fibonacci spiral
 _FILE_VERSION = 1
-_MAX_VALUE = 1e9  # m or m^3; more is a damaged number
 _MAX_FILE_BYTES = 128 * MAX_POINTS  # unpacked; a point has 40 bytes
 
 
@@ -168,13 +168,13 @@ class Reachability(Verdict):
                 points=points,
                 fraction=vector("fraction", data["fraction"], len(points)),
                 manipulability=vector("manipulability", data["manipulability"], len(points)),
-                spacing=number("spacing", data["spacing"].item(), 1e-9, _MAX_VALUE),
+                spacing=number("spacing", data["spacing"].item(), 1e-9, MAX_FILE_VALUE),
                 orientations=matrix("orientations", data["orientations"], 4),
             )
             if result.ok != (result.fraction > 0).any() or not ((result.fraction >= 0) & (result.fraction <= 1)).all():
                 raise InputError("fraction: the values are not those of its reason")
-            if max(np.abs(points).max(initial=0.0), np.abs(result.manipulability).max(initial=0.0)) > _MAX_VALUE:
-                raise InputError(f"points: a number is above {_MAX_VALUE:g}")
+            if max(np.abs(points).max(initial=0.0), np.abs(result.manipulability).max(initial=0.0)) > MAX_FILE_VALUE:
+                raise InputError(f"points: a number is above {MAX_FILE_VALUE:g}")
             return result
 
     def plot(self, path: str | os.PathLike[str] | None = None, values: str = "fraction") -> Path | None:

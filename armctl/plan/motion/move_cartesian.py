@@ -21,7 +21,7 @@ from armctl.plan.ik.all_solutions import solve_ik_all
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.moving_start import planned_from
 from armctl.plan.motion.path.joint_path import JointPath, joint_path_along
-from armctl.plan.motion.path.path_segments import Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn
+from armctl.plan.motion.path.path_segments import MIN_LENGTH, Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn
 from armctl.plan.motion.path.tip_caps import TipCaps
 from armctl.plan.motion.sections import Section, is_limited, pause, within_sections
 from armctl.plan.motion.timing.path_timing import time_optimal, times_at
@@ -30,7 +30,6 @@ from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, join
 from armctl.plan.motion.trajectory.limit_check import check_limits, is_inside
 from armctl.plan.motion.trajectory.piecewise import Pieces, joints_of, standing
 
-_MIN_LENGTH = 1e-9  # m
 _BRANCH_SAMPLE = 64  # configurations in which branches are looked for
 _MAX_BRANCHES = 16  # that are planned for an arm whose branches have no names
 _MAX_ANGLE = 200 * np.pi  # rad, a hundred turns
@@ -193,7 +192,7 @@ def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathO
     legs = [
         _Leg(shape, 0.0 if part.dwell else blend, part)
         for shape, blend, part in zip(shapes, blends, parts, strict=True)
-        if shape.length > _MIN_LENGTH or part.dwell  # to where the tip is already is no leg
+        if shape.length > MIN_LENGTH or part.dwell  # to where the tip is already is no leg
     ]
     motions = _fastest_motions(partial(_stretches, arm, planning.limits, q, request, options), legs)
     return joined(motions) if motions else JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
@@ -372,7 +371,7 @@ def _chains(legs: list[_Leg]) -> list[_Chain]:
         after = legs[i + 1].shape if i + 1 < len(legs) else None
         sections.append(section)
         length += shape.length - begin
-        if after is None or radius == 0.0 or after.length <= _MIN_LENGTH:
+        if after is None or radius == 0.0 or after.length <= MIN_LENGTH:
             shapes.append(SubPath(shape, begin, shape.length))
             chains.append(_Chain(CompositePath(shapes), [*ends, length], sections, section.dwell))
             shapes = []

@@ -58,7 +58,7 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
     pieces = parts[0].pieces
     for before, after in pairwise(parts):
         pieces = _rounded(arm, pieces, after.pieces, min(_ramp(arm, before, radius, True), _ramp(arm, after, radius, False)))
-    whole = JointTrajectory(*pieces, arm.joint_names, arm.limits, plain.slowed, arm.units)
+    whole = JointTrajectory(*pieces, arm.joint_names, arm.limits, slowed=plain.slowed, units=arm.units)
     if not is_inside(pieces, arm.limits):
         slower = slowed_down(MotionPath(whole), arm.limits, pieces.knots, None)
         whole = replace(whole, knots=slower.knots, coefficients=joints_of(slower).coefficients)

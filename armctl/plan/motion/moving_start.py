@@ -62,11 +62,11 @@ def begun_moving(
         is_braking = pieces.knots[1:] <= braked
         limits = (while_braking, arm.limits)
         if all(is_inside(part, limit) for part, limit in zip(_split(pieces, int(is_braking.sum())), limits, strict=True)):
-            whole = JointTrajectory(*pieces, arm.joint_names, arm.limits, motion.slowed, arm.units)
+            whole = JointTrajectory(*pieces, arm.joint_names, arm.limits, slowed=motion.slowed, units=arm.units)
             if check_torque(arm, whole).ok and (accepts is None or accepts(whole)):
                 return whole
     pieces = joined([stop.pieces, motion.pieces])
-    whole = JointTrajectory(*pieces, arm.joint_names, arm.limits, motion.slowed, arm.units)
+    whole = JointTrajectory(*pieces, arm.joint_names, arm.limits, slowed=motion.slowed, units=arm.units)
     if accepts is not None and not accepts(whole):
         raise PlanError("the arm cannot stop in time; start slower")
     return whole

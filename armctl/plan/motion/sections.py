@@ -71,7 +71,13 @@ def is_limited(section: Section) -> bool:
 def pause(arm: Arm, q: Array, duration: float) -> JointTrajectory:
     """The arm at rest at q (n,) for a time, s."""
     coefficients = standing(q).coefficients
-    return JointTrajectory(np.array([0.0, duration]), coefficients, arm.joint_names, arm.limits, units=arm.units)
+    return JointTrajectory(
+        knots=np.array([0.0, duration]),
+        coefficients=coefficients,
+        joint_names=arm.joint_names,
+        limits=arm.limits,
+        units=arm.units,
+    )
 
 
 def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequence[Section]) -> JointTrajectory:
@@ -92,7 +98,7 @@ def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequ
     for _ in range(MAX_STRETCHES):
         if torques.needed(feasible).share <= 1.0:
             slowed = Slowdown(float(feasible.knots[-1] / free.knots[-1]), arm.joint_names[needed.joint], needed.share)
-            return JointTrajectory(*joints_of(feasible), arm.joint_names, arm.limits, slowed, arm.units)
+            return JointTrajectory(*joints_of(feasible), arm.joint_names, arm.limits, slowed=slowed, units=arm.units)
         overshoot = max(float(torques.overshoot(*states).max()) for states in torques.samples(feasible))
         feasible = time_scaled(feasible, 1 / stretch_for(overshoot))
     raise PlanError(

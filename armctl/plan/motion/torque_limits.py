@@ -1,7 +1,7 @@
 """The torques of a motion: compared with the motors' limits, and kept inside them by slowing the motion down.
 
 A torque is not a polynomial in time, so its extremes are searched at samples. A motion is kept a little below the limits, by
-`_TORQUE_MARGIN`, to cover what happens between samples.
+`TORQUE_MARGIN`, to cover what happens between samples.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from armctl.plan.motion.trajectory.piecewise import Pieces, joints_of
 _SAMPLE_INTERVAL_S = 0.004
 _MAX_EVEN_SAMPLES = 20_000  # a longer motion is sampled piece by piece, or in chunks of so many samples
 _MIN_SAMPLES_PER_PIECE = 64  # of a motion with very many pieces
-_TORQUE_MARGIN = 1e-3  # of the limits
+TORQUE_MARGIN = 1e-3  # of the limits
 MAX_STRETCHES = 100
 _MIN_STRETCH = 1.0005  # factors by which one stretch lengthens a motion
 _MAX_STRETCH = 1.5
@@ -196,8 +196,8 @@ class TorqueBounds:
     def __init__(self, arm: Arm):
         self._arm = arm
         self._inverse_dynamics = InverseDynamics(arm)
-        self._bound = (1 - _TORQUE_MARGIN) * arm.limits.tau_max
-        self._voltage_bound = (1 - _TORQUE_MARGIN) * arm.limits.stall_torque
+        self._bound = (1 - TORQUE_MARGIN) * arm.limits.tau_max
+        self._voltage_bound = (1 - TORQUE_MARGIN) * arm.limits.stall_torque
         self._voltage_damping = arm.limits.voltage_damping
 
     def rows(self, s: Array, q: Array, v: Array, a: Array) -> TorqueRows:
@@ -242,8 +242,8 @@ class TorqueBounds:
 
 def _share_of_rest(dynamic: Array, held: Array, bound: Array) -> Array:
     """(T,) the largest share of what bounds leave beside holding still."""
-    up = np.maximum(bound - held, _TORQUE_MARGIN * bound)
-    down = np.maximum(bound + held, _TORQUE_MARGIN * bound)
+    up = np.maximum(bound - held, TORQUE_MARGIN * bound)
+    down = np.maximum(bound + held, TORQUE_MARGIN * bound)
     return np.maximum(dynamic / up, -dynamic / down).max(axis=1)
 
 

@@ -10,20 +10,20 @@ from scipy.optimize import minimize
 
 from armctl._core import Hit
 from armctl.core.validation import Array
+from armctl.plan.motion.torque_limits import TORQUE_MARGIN
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.planner.move_free import FreeSpace
 from armctl.plan.planner.transcription import SAMPLES, Derived, States, Transcription, Values, joined_values
 
 _ITERATIONS = 25
 _TOLERANCE = 1e-5  # of the cost, which is 1 before
-_TORQUE_MARGIN = 1e-3  # of the limits, for what is between samples
 _TORQUE_SAMPLES = slice(SAMPLES // 2, -1, SAMPLES // 2)  # at knots and middles; the torques at the ends are given
 _SIMPSON = np.array([1.0, 4.0, 2.0, 4.0, 1.0]) / 12.0
 _PAIRS = 3  # the nearest ones, whose distances are bounded at each sample
 _NEAR_M = 0.1  # a pair that is free by more has no gradient
 _FIRST_MARGIN_M = 2e-4  # of the distances at samples, for what is between them
 _GREATEST_MARGIN_M = 0.02  # by which it grows at once
-_TINY = 1e-12
+TINY = 1e-12
 
 
 class Evaluation(NamedTuple):
@@ -160,7 +160,7 @@ def _inside(shares: Values, limits: Array) -> list[Values]:
     limited = np.isfinite(limits)
     values = shares.values[_TORQUE_SAMPLES, limited].ravel()
     slopes = shares.slopes[_TORQUE_SAMPLES, limited].reshape(len(values), -1)
-    bound = 1.0 - _TORQUE_MARGIN
+    bound = 1.0 - TORQUE_MARGIN
     return [Values(bound - values, -slopes), Values(bound + values, slopes)]
 
 
@@ -171,13 +171,13 @@ def _root_mean_square(shares: Values, times: Values, duration: Values) -> Values
     square_slopes = 2.0 / n * np.einsum("ri,rix->rx", shares.values, shares.slopes)
     mean = times.values @ squares / duration.values
     slopes = (times.values @ square_slopes + squares @ times.slopes - mean * duration.slopes) / duration.values
-    root = np.sqrt(np.maximum(mean, _TINY**2))
+    root = np.sqrt(np.maximum(mean, TINY**2))
     return Values(root, 0.5 * slopes / root)
 
 
 def _length(q: Values) -> Values:
     """(1,) of a path through positions (R, n)."""
     lines = np.diff(q.values, axis=0)
-    lengths = np.sqrt(np.sum(lines**2, axis=1) + _TINY)
+    lengths = np.sqrt(np.sum(lines**2, axis=1) + TINY)
     slopes = np.einsum("ri,rix->x", lines / lengths[:, None], np.diff(q.slopes, axis=0))
     return Values(lengths.sum(keepdims=True), slopes[None])

@@ -42,7 +42,7 @@ from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 
 _IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
 _MAX_IK_TRIES = 500  # as long as no solution is free
-_MAX_ROOTS = 8  # of the goal tree, for each pose or point
+MAX_ROOTS = 8  # of the goal tree, for each pose or point
 _SAME_CONFIGURATION = 1e-3  # rad
 _MIN_CLEARANCE_M = 1e-5  # of a motion, where start and goal leave it: how fine a proof is follows from the clearance
 _REPAIRS = 14  # points that are added where a smooth motion leaves the free path
@@ -392,7 +392,7 @@ def configurations_for(
             continue
         found.append(result.q)
         free += is_free(result.q)
-        if free == _MAX_ROOTS:
+        if free == MAX_ROOTS:
             break
     return found, ""
 

@@ -24,7 +24,7 @@ from armctl.plan.motion.torque_limits import InverseDynamics, check_torque, stre
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.limit_check import QUANTITIES
 from armctl.plan.motion.trajectory.piecewise import Pieces
-from armctl.plan.planner.descent import Descent
+from armctl.plan.planner.descent import TINY, Descent
 from armctl.plan.planner.move_free import CLEARANCE_M, FreeSpace
 from armctl.plan.planner.transcription import SAMPLES, Transcription
 
@@ -39,10 +39,9 @@ _BENDS = (1.0, 0.5, 0.25, 0.125)  # the first one that is proved
 _LEAST_WAY = 0.1  # of a joint, relative to the longest
 _IDLE_STARTS = 3  # in a row without a gain, after which the search ends
 _STRETCHES = 20  # to the torque limits
-_ROUNDING = 1e-9
-_SAMPLES = 200  # of the measures of a motion
-_MIN_GAIN = 1e-3  # of the cost: less is no gain
-_TINY = 1e-12
+_LIMIT_SHARE_ROUNDING = 1e-9
+_MEASURE_SAMPLES = 200  # of the measures of a motion
+_MIN_COST_GAIN = 1e-3  # of the cost: less is no gain
 
 
 class MotionMeasures(NamedTuple):
@@ -149,7 +148,7 @@ def optimize(
         raise PlanError(f"motion: {given_clearance.reason}; plan it with move_free, or take a smaller clearance")
     search = _MotionSearch(arm, motion, weights, space)
     search.run(integer("evaluations", evaluations, 1), np.random.default_rng(seed))
-    gained = search.cost < 1.0 - _MIN_GAIN
+    gained = search.cost < 1.0 - _MIN_COST_GAIN
     best = search.motion if gained else motion
     return OptimizedMotion(
         ok=gained,
@@ -180,10 +179,10 @@ class _MotionSearch:
         self._most_pieces = _PIECES[-1]  # later no more than the given motion needs: many take long
         self._inverse_dynamics = InverseDynamics(arm)
         self.before = self.measures(motion)
-        self._weights = weights / weights.sum() / np.maximum(self.before, _TINY)
+        self._weights = weights / weights.sum() / np.maximum(self.before, TINY)
 
     def measures(self, motion: JointTrajectory) -> MotionMeasures:
-        times = np.linspace(0.0, motion.duration, _SAMPLES)
+        times = np.linspace(0.0, motion.duration, _MEASURE_SAMPLES)
         q, v, a = motion.sample(times)[:3]
         torque = torque_shares(self.arm.limits, self._inverse_dynamics.total(q, v, a), v)
         jerk = motion.jerk(times) / self.arm.limits.j_max
@@ -215,7 +214,7 @@ class _MotionSearch:
                 except _SpentError:
                     self._consider_last(descent)
                     return
-            idle = 0 if self.cost < before - _MIN_GAIN else idle + 1
+            idle = 0 if self.cost < before - _MIN_COST_GAIN else idle + 1
             if idle == _IDLE_STARTS:
                 return
 
@@ -230,7 +229,7 @@ class _MotionSearch:
         if number == 2:
             straight = move_j(self.arm, self._given(0.0).q, self._given(self._given.duration).q)
             return self._transcribed(straight, spend)
-        way = np.ptp(self.motion.sample(np.linspace(0.0, self.motion.duration, _SAMPLES)).q, axis=0)
+        way = np.ptp(self.motion.sample(np.linspace(0.0, self.motion.duration, _MEASURE_SAMPLES)).q, axis=0)
         bend = _BEND * np.maximum(way, _LEAST_WAY * way.max()) * rng.normal(size=self.arm.n)
         for size in _BENDS:
             found = self._transcribed(self.motion, spend, size * bend)
@@ -270,7 +269,7 @@ class _MotionSearch:
                 radius *= _SHRINKAGE
                 continue
             cost = self._cost_of(motion)
-            if cost > least - _MIN_GAIN:
+            if cost > least - _MIN_COST_GAIN:
                 return
             hit = self._consider(motion)
             if hit is not None:
@@ -307,7 +306,7 @@ class _MotionSearch:
         motion = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
         orders = dict(zip(QUANTITIES[1:], (1, 2, 3), strict=True))
         shares = [peak.ratio ** (1 / orders[peak.quantity]) for peak in motion.check_limits().peaks if peak.quantity in orders]
-        motion = motion.scaled(1.0 / ((1.0 + _ROUNDING) * max(1.0, *shares)))
+        motion = motion.scaled(1.0 / ((1.0 + _LIMIT_SHARE_ROUNDING) * max(1.0, *shares)))
         if not motion.check_limits().ok:
             return None
         for _ in range(_STRETCHES):

@@ -21,6 +21,7 @@ from armctl.plan.motion.torque_limits import check_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import restarted
 from armctl.plan.planner.move_free import (
+    MAX_ROOTS,
     MAX_SAMPLES,
     FreeSpace,
     find_path,
@@ -32,7 +33,6 @@ from armctl.plan.planner.move_free import (
 )
 
 _MAX_COMBINATIONS = 256  # of the solutions of all arms
-_MAX_ROOTS = 8
 _TORQUE_STRETCH = 1.05
 _MAX_STRETCHES = 60
 
@@ -104,7 +104,9 @@ def plan_together(
 def _part(motion: JointTrajectory, arm: Arm, columns: slice) -> JointTrajectory:
     """The motion of one arm of several."""
     coefficients = np.ascontiguousarray(motion.coefficients[:, :, columns])
-    return JointTrajectory(motion.knots, coefficients, arm.joint_names, arm.limits, units=arm.units)
+    return JointTrajectory(
+        knots=motion.knots, coefficients=coefficients, joint_names=arm.joint_names, limits=arm.limits, units=arm.units
+    )
 
 
 def combined(motions: Mapping[str, JointTrajectory], columns: Mapping[str, slice], start: Array) -> tuple[Array, Array]:
@@ -137,7 +139,7 @@ def _goals(
         if distance > 0.0:
             free.append(q)
             distances.append(distance)
-        if len(free) == _MAX_ROOTS:
+        if len(free) == MAX_ROOTS:
             break
     if not free:
         pair, _ = checker.nearest(candidates[0])

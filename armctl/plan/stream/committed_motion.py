@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _SLOWER = (1.0, 0.5, 0.25)
 _TORQUE_STEP_S = 0.01  # between samples of the torques
 _TORQUE_MARGIN = 0.02  # of the limits, for what is between the samples
-_CLEARANCE_M = 1e-3
+LIVE_CLEARANCE_M = 1e-3  # of a reference that follows live: half of what a planned path keeps
 _MIN_SEGMENT_S = 1e-3
 _WAY_SHARES = (0.5, 0.25, 0.12, 0.0)  # of the way to a place that is refused; shorter motions are slower
 
@@ -162,7 +162,7 @@ class CommittedMotion:
         """Why a motion may not be made; None if it may."""
         if pieces.knots[-1] == 0.0:
             return None
-        hit = None if self.checker is None else self.checker.motion_hit(pieces.knots, pieces.coefficients, _CLEARANCE_M)
+        hit = None if self.checker is None else self.checker.motion_hit(pieces.knots, pieces.coefficients, LIVE_CLEARANCE_M)
         if self.checker is not None and hit is not None:
             first, second = self.checker.names(hit.pair)
             return Refused(hit.time, f"{second} would touch {first}")
@@ -175,7 +175,7 @@ class CommittedMotion:
         for shorter in _shorter(knots, start, int(np.searchsorted(knots.t - now, refused.time))):
             # Contact first, because it takes a hundredth of the time.
             moves = (shorter.rest != start.q).any()
-            if moves and self.checker is not None and self.checker.hit(shorter.rest, _CLEARANCE_M) >= 0:
+            if moves and self.checker is not None and self.checker.hit(shorter.rest, LIVE_CLEARANCE_M) >= 0:
                 continue
             pieces = self._motion(solver, start, now, shorter)
             if pieces is not None and self._refused(pieces) is None and self._is_feasible(pieces):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 
+from armctl.core.defaults import DEFAULT_GRIP_FORCE
 from armctl.core.result import GripResult
 from armctl.core.validation import number
 from armctl.run.links.link import HandLink
 
-_DEFAULT_FORCE = 10.0  # N
 _WIDTH_TOLERANCE = 2e-3  # m
 # A hand may report a grasp where it closed on nothing: fingers that are nearer to each other hold nothing that counts.
 _THINNEST_OBJECT_M = 3e-3
@@ -76,7 +76,7 @@ class Hand:
         Raises:
             LinkError: The link failed.
         """
-        return self.grasp(_DEFAULT_FORCE)
+        return self.grasp(DEFAULT_GRIP_FORCE)
 
     def grasp(self, force: float) -> GripResult:
         """Closes until the fingers touch something, then holds it with a force until the next command.

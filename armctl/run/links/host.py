@@ -19,7 +19,7 @@ from armctl.plan.motion.trajectory.piecewise import Pieces, sample, standing
 from armctl.run.links.link import HandReading, Link, Reading
 
 START_TOLERANCE = 1e-5  # rad, between the last command and the start of a motion; the wire may have single precision
-JOIN_TOLERANCE = 1e-6  # rad, between the end of one motion and the start of the next; single precision is 1e-7
+MAX_JOIN_GAP = 1e-6  # rad, between the end of one motion and the start of the next; single precision is 1e-7
 _NEVER = 2**60
 _IDLE_S = 0.1  # at rest, until a stream ends
 _LEAD_S = 0.02  # between a request and its effect, where time passes by itself
@@ -110,7 +110,7 @@ class Player:
                 return Played(first, "the motion starts before the one that was sent last")
             motion = _TimedMotion.from_pieces(first, pieces, self.dt)
             gap = float(np.abs(motion.samples[0] - before.sample_at(first)).max())
-            if gap > JOIN_TOLERANCE:
+            if gap > MAX_JOIN_GAP:
                 return Played(first, f"the motion starts {gap:.2g} rad from where the last one is then")
             self._motions.append(motion)
         return Played(first)

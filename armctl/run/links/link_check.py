@@ -65,7 +65,16 @@ def link_check_of(drive: LinkDrive, tip_difference: float, times: Array, lost: i
     if not reason and lost > _MAX_LOST_SHARE * (len(times) + lost):
         reason = f"{lost} of {len(times) + lost} ticks were lost; end other programs, or use a kernel with real-time priority"
     median, p99 = np.quantile(periods, [0.5, 0.99]) if len(periods) else (np.nan, np.nan)
-    return LinkCheck(not reason, reason, drive.description, tip_difference, len(times), lost, float(median), float(p99))
+    return LinkCheck(
+        ok=not reason,
+        reason=reason,
+        robot=drive.description,
+        tip_difference=tip_difference,
+        readings=len(times),
+        lost=lost,
+        period=float(median),
+        period_p99=float(p99),
+    )
 
 
 def base_pose(arm: Arm) -> Pose:

@@ -3,9 +3,8 @@
 from armctl.core.validation import Array
 from armctl.model.collision.checker import CollisionChecker
 from armctl.plan.motion.trajectory.piecewise import Pieces
+from armctl.plan.stream.committed_motion import LIVE_CLEARANCE_M
 from armctl.run.execution.obstacles import Obstacles
-
-_CLEARANCE_M = 1e-3  # of a reference that follows live: half of what a planned path keeps
 
 
 class ContactAvoidance:
@@ -18,7 +17,7 @@ class ContactAvoidance:
         self.obstacles = obstacles
         self.is_on = True
         self.checker: CollisionChecker | None = None
-        self._clearance = _CLEARANCE_M
+        self._clearance = LIVE_CLEARANCE_M
 
     def look(self, held_body: str) -> None:
         """Looks where everything is now, with a body that the gripper holds; empty for none."""
@@ -32,7 +31,7 @@ class ContactAvoidance:
         if pair >= 0 and distance <= self._clearance:
             self._clearance = max(0.5 * distance, 0.0)
         else:
-            self._clearance = min(_CLEARANCE_M, max(self._clearance, 0.5 * distance))
+            self._clearance = min(LIVE_CLEARANCE_M, max(self._clearance, 0.5 * distance))
 
     def is_line_blocked(self, q: Array, goal: Array) -> bool:
         """Whether something is on the straight line of the joints to a goal, each (n,) rad."""

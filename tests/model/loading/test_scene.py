@@ -233,7 +233,7 @@ def test_a_box_that_only_some_configurations_cut_keeps_its_contact(tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("count", [1500, 4000, 10_000])
+@pytest.mark.parametrize("count", [1500, 4000, pytest.param(10_000, marks=pytest.mark.nightly)])
 def test_an_arm_among_thousands_of_things_loads_and_mujoco_steps_it(tmp_path, count):
     """MuJoCo reserves memory for all pairs of bodies; the default is too little from 1900 on."""
     scene = armctl.Scene()

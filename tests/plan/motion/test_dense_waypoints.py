@@ -128,7 +128,7 @@ def test_one_joint_through_many_waypoints_takes_as_long_as_move_j(load, count):
 
 
 @pytest.mark.parametrize("jerk", [500.0, 5e3, 1e5])
-@pytest.mark.parametrize("count", [10, 30, 100, pytest.param(300, marks=pytest.mark.full)])
+@pytest.mark.parametrize("count", [10, 30, 100, pytest.param(300, marks=pytest.mark.nightly)])
 def test_waypoints_on_a_smooth_curve_take_hardly_longer_than_the_curve_without_jerk_limits(light, count, jerk):
     arm = with_bounds(light, 3.14, 25.0, jerk)
     for seed in range(2):
@@ -170,7 +170,7 @@ def twice(line: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.repeat(line, rng.integers(1, 3, len(line)), axis=0)
 
 
-@pytest.mark.parametrize("count", some_of([4, 30, 120], [4, 30]))
+@pytest.mark.parametrize("count", [4, 30, pytest.param(120, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("shape", [there_and_back, broken, twice])
 def test_a_path_of_lines_is_never_slower_than_a_move_j_along_each(light, shape, count):
     rng = np.random.default_rng(count)
@@ -183,7 +183,9 @@ def test_a_path_of_lines_is_never_slower_than_a_move_j_along_each(light, shape, 
     assert_passes(motion, q)
 
 
-@pytest.mark.parametrize("noise", some_of([1e-6, 1e-5, 1e-4, 1e-3], [1e-6, 1e-3]))
+@pytest.mark.parametrize(
+    "noise", [1e-6, pytest.param(1e-5, marks=pytest.mark.nightly), pytest.param(1e-4, marks=pytest.mark.nightly), 1e-3]
+)
 def test_a_noisy_recording_takes_a_fraction_of_stopping_everywhere(light, noise):
     """100 rows of a motion that was taught by hand, with pauses: dense where the hand was slow."""
     arm = with_bounds(light, 3.14, 25.0, 500.0)

@@ -18,7 +18,7 @@ from armctl.core.pose import rotation_from_vector, rotation_vector
 from armctl.core.validation import Array
 
 TURN_RADIUS = 0.2  # m: what a radian of turning counts as
-_MIN_LENGTH = 1e-9  # m
+MIN_LENGTH = 1e-9  # m
 
 
 class PathPoint(NamedTuple):
@@ -163,7 +163,7 @@ class CompositePath:
 
     def __init__(self, shapes: list[PathSegment]):
         """Shapes, each of which starts where the one before it ends."""
-        self._shapes = [shape for shape in shapes if shape.length > _MIN_LENGTH]
+        self._shapes = [shape for shape in shapes if shape.length > MIN_LENGTH]
         self.ends = np.cumsum([shape.length for shape in self._shapes])
 
     @property

@@ -39,7 +39,7 @@ class TipCaps:
             return None
         linear = np.inf if tip_speed is None else speed * number("tip_speed", tip_speed, 1e-6)
         angular = np.inf if tip_angular_speed is None else speed * number("tip_angular_speed", tip_angular_speed, 1e-6)
-        return cls(arm, path, linear, angular)
+        return cls(arm=arm, path=path, linear=linear, angular=angular)
 
     def at(self, s: Array) -> Array:
         """(T,) m/s, the greatest speeds along the path at lengths (T,)."""

@@ -22,7 +22,7 @@ from armctl.plan.motion.trajectory.piecewise import DEGREE, Pieces, basis, stand
 _SOLVED = {ruckig.Result.Working, ruckig.Result.Finished}
 _TOGETHER = ruckig.Synchronization.Time
 _SEPARATELY = ruckig.Synchronization.No
-_MIN_PIECE_S = 1e-12
+MIN_PIECE_S = 1e-12
 _TIGHTENING = (1e-9, 1e-7, 1e-5)  # relative; slightly tighter limits avoid a rounding failure inside ruckig
 _NEGLIGIBLE = 1e-8  # share of a limit that a correction of the end state may add without a check
 _DERIVATIVE_FACTORS = ((3.0, 4.0, 5.0), (6.0, 12.0, 20.0), (6.0, 24.0, 60.0))  # of x^3, x^4 and x^5 at x = 1
@@ -123,7 +123,7 @@ class Profile:
         for phases, phase_jerks in zip(*self.phases(), strict=True):
             # a joint that arrives before the others stands still from then on
             rest = self.duration - sum(phases)
-            durations.append((*phases, rest if rest > _MIN_PIECE_S else 0.0))
+            durations.append((*phases, rest if rest > MIN_PIECE_S else 0.0))
             jerks.append((*phase_jerks, 0.0))
         nodes = phase_nodes([Phases(durations, jerks)], first)
         return _pieces(PhaseNodes(*(x[:, 0] for x in nodes)))
@@ -409,7 +409,7 @@ def _pieces(nodes: PhaseNodes) -> Pieces:
     steps = nodes.steps
     starts = np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
     knots = np.unique(starts)
-    knots = np.append(knots[:-1][np.diff(knots) > _MIN_PIECE_S], knots[-1])
+    knots = np.append(knots[:-1][np.diff(knots) > MIN_PIECE_S], knots[-1])
     if len(knots) == 1:
         knots = np.zeros(2)
     knots[0] = 0.0  # also where the first phase is too short for a piece

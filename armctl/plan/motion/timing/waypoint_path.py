@@ -15,7 +15,7 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, IntArray
-from armctl.plan.motion.timing.otg import straight_rest_to_rest
+from armctl.plan.motion.timing.otg import MIN_PIECE_S, straight_rest_to_rest
 from armctl.plan.motion.timing.path_timing import time_optimal, times_at
 from armctl.plan.motion.trajectory.limit_check import limit_excess
 from armctl.plan.motion.trajectory.piecewise import Pieces, hermite, jerk, joined, joints_of, restarted, sample
@@ -27,7 +27,6 @@ _CORNER_ANGLE = np.pi / 6  # rad, between two chords: a larger one may be worth 
 _MAX_CURVES = 16  # between stops; each takes some 30 ms to time
 _OFF_LINE = 1e-11  # rad (m), of waypoints on a straight line: rounding
 _POSITION_ROUNDING = 1e-10  # rad (m)
-_MIN_PIECE_S = 1e-12
 _MIN_RECORDED = 20  # waypoints of a recording
 _AT_LIMIT = 1e-9  # rad (m), nearer to a limit than this a joint is at it
 _AT_BOTH_ENDS = 64.0  # times height / length^2: second derivatives that push a quintic by twice the height in its middle
@@ -220,6 +219,6 @@ def _straight(q: Array, limits: Limits) -> Passage:
 def _cut(pieces: Pieces, times: Array) -> Pieces:
     """A motion whose knots include some times, so that nothing between knots hides where it is then."""
     knots = np.union1d(pieces.knots, times)
-    knots = knots[np.diff(knots, append=np.inf) > _MIN_PIECE_S]
+    knots = knots[np.diff(knots, append=np.inf) > MIN_PIECE_S]
     middle = 0.5 * (knots[1:] + knots[:-1])
     return Pieces(knots, restarted(pieces, middle, knots[:-1]))

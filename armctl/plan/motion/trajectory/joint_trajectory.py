@@ -259,7 +259,7 @@ class JointTrajectory:
                 slowed = Slowdown(number("slowed", float(factor)), joint, number("slowed", float(ratio)))
             except ValueError:
                 raise InputError(f"{os.fspath(path)!s:.160}: it holds no trajectory (slowed is not a number)") from None
-        return JointTrajectory(*content.pieces, content.joint_names, content.limits, slowed, content.units)
+        return JointTrajectory(*content.pieces, content.joint_names, content.limits, slowed=slowed, units=content.units)
 
     def to_csv(self, path: str | os.PathLike[str], dt: float = 1e-3) -> Path:
         """Writes samples as a table: t, then q, v and a of each joint, named in the first row.
@@ -322,7 +322,13 @@ class JointTrajectory:
         arm.check_units("message: positions", points.q[:, order], "messages of ROS have rad and m")
         ros.check_rates(points)
         pieces = ros.pieces(points)
-        return JointTrajectory(pieces.knots, pieces.coefficients[:, :, order], arm.joint_names, arm.limits, units=arm.units)
+        return JointTrajectory(
+            knots=pieces.knots,
+            coefficients=pieces.coefficients[:, :, order],
+            joint_names=arm.joint_names,
+            limits=arm.limits,
+            units=arm.units,
+        )
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> object:
         """Draws position, velocity, acceleration and jerk of every joint, the last three as shares of their limits.

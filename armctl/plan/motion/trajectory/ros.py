@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armctl.core.atomic import file_path, write_text
+from armctl.core.defaults import MAX_FILE_VALUE
 from armctl.core.errors import InputError, import_extra
 from armctl.core.file_reading import read_bytes, reading
 from armctl.core.validation import Array, integer, number, shown, vector
@@ -22,7 +23,6 @@ _MAX_NESTING = 4  # of messages around a trajectory
 _FLOATING = "multi_dof_joint_trajectory"
 _SAME_TIME_S = 5e-10  # half of the unit of a stamp
 _REPEATED = 1e-9  # rad, rad/s, ...: by which a repeated point, or a joint that stands, may differ
-_MAX_VALUE = 1e9  # SI units; more is a damaged number
 _SECONDS = ("sec", "secs")  # of ROS 2, of ROS 1
 _NANOSECONDS = ("nanosec", "nsecs", "nsec")
 # Rates and values of coarse points agree to a factor of two or so; degrees differ by 57, and milliseconds by 1000.
@@ -259,8 +259,8 @@ def _rates(name: str, rows: list[Any], n: int) -> Array | None:
 
 def _rows(name: str, rows: list[Any], n: int) -> Array:
     table = np.array([vector(f"message: point {k}: {name}", row, n) for k, row in enumerate(rows)])
-    if (np.abs(table) > _MAX_VALUE).any():
-        raise InputError(f"message: {name}: a number is above {_MAX_VALUE:g}; expected rad or m, and seconds")
+    if (np.abs(table) > MAX_FILE_VALUE).any():
+        raise InputError(f"message: {name}: a number is above {MAX_FILE_VALUE:g}; expected rad or m, and seconds")
     return table
 
 

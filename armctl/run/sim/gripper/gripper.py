@@ -7,7 +7,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from armctl.core.defaults import SETTLE_TIMEOUT_S
+from armctl.core.defaults import DEFAULT_GRIP_FORCE, SETTLE_TIMEOUT_S
 from armctl.core.errors import InputError
 from armctl.core.result import GripResult
 from armctl.core.validation import instance, number
@@ -16,9 +16,8 @@ from armctl.model.mjmodel.queries import acts, body_name, is_loose
 from armctl.run.sim.gripper.model import find_gripper_model, make_usable
 from armctl.run.sim.stepper import Stepper
 
-_DEFAULT_FORCE = 10.0  # N
-_PAD_SPEED = 0.1  # m/s, of the pads relative to each other
-_CHECK_INTERVAL_S = 0.02
+PAD_SPEED = 0.1  # m/s, of the pads relative to each other
+_REST_CHECK_INTERVAL_S = 0.02
 _MIN_WAIT_S = 0.1
 _SETTLED_PAD_SPEED = 2e-4  # m/s
 _WIDTH_TOLERANCE = 1e-3  # m
@@ -127,7 +126,7 @@ class Gripper:
         Raises:
             SimulationError: The arm's controller failed.
         """
-        return self.grasp(min(_DEFAULT_FORCE, 0.5 * self.model.force_max))
+        return self.grasp(min(DEFAULT_GRIP_FORCE, 0.5 * self.model.force_max))
 
     def grasp(self, force: float) -> GripResult:
         """Closes until both pads touch a body, then holds it with a force until the next command.
@@ -182,10 +181,10 @@ class Gripper:
     def _ramp(self, goal: float, until_touch: bool) -> None:
         """Moves the servo's reference at constant speed from the present width."""
         start = self.width
-        steps = max(1, round(abs(goal - start) / (_PAD_SPEED * _CHECK_INTERVAL_S)))
+        steps = max(1, round(abs(goal - start) / (PAD_SPEED * _REST_CHECK_INTERVAL_S)))
         for width in np.linspace(start, goal, steps + 1)[1:]:
             self._stepper.data.ctrl[self._ctrl] = self.model.ctrl_at(float(width))
-            self._hold(_CHECK_INTERVAL_S)
+            self._hold(_REST_CHECK_INTERVAL_S)
             if self._stepper.failure or (until_touch and self._grasped()[0]):
                 return
 
@@ -220,9 +219,9 @@ class Gripper:
         deadline = self._stepper.data.time + SETTLE_TIMEOUT_S
         before = self.width
         while not self._stepper.failure and self._stepper.data.time < deadline:
-            self._hold(_CHECK_INTERVAL_S)
+            self._hold(_REST_CHECK_INTERVAL_S)
             now = self.width
-            if abs(now - before) < _SETTLED_PAD_SPEED * _CHECK_INTERVAL_S:
+            if abs(now - before) < _SETTLED_PAD_SPEED * _REST_CHECK_INTERVAL_S:
                 return
             before = now
 

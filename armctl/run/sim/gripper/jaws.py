@@ -12,12 +12,12 @@ from armctl.core.errors import ModelError
 from armctl.core.validation import Array, frozen
 from armctl.model.mjmodel.queries import branches, is_below
 
-_MIN_OPENING = 1e-3  # m
+MIN_OPENING = 1e-3  # m
 # The pads are the two geoms whose distance changes most. A gap that remains in the closed gripper counts against them.
 _GAP_WEIGHT = 3.0
 # Convex hulls that overlap in most states show less than this fraction of the opening of the points on the jaws.
 _MIN_SHOWN_FRACTION = 0.4
-_MAX_DISTANCE = 1.0  # m, up to which distances are computed
+MAX_JAW_DISTANCE = 1.0  # m, up to which distances are computed
 _TIP_FRACTION = 0.9  # of the largest displacement on a jaw: what moves as far as this is its tip
 _CENTER_WEIGHT = 0.1  # of the distance between centers, where the jaws touch both when open and when closed
 _MAX_POINTS_PER_GEOM = 1000
@@ -73,7 +73,7 @@ def find_jaws(model: mujoco.MjModel, states: Sequence[mujoco.MjData], palm: froz
     by_geoms = _jaws_by_geoms(model, states, [*sides, palm])
     openings = [_opening(model, states, found) for found in (by_points, by_geoms)]
     best = by_geoms if openings[1] >= _MIN_SHOWN_FRACTION * openings[0] else by_points
-    if best is None or max(openings) < _MIN_OPENING:
+    if best is None or max(openings) < MIN_OPENING:
         raise ModelError("no gripper: nothing attached to the tip opens or closes")
     return best
 
@@ -87,7 +87,7 @@ def _opening(model: mujoco.MjModel, states: Sequence[mujoco.MjData], found: tupl
 
 
 def _geom_distance(model: mujoco.MjModel, data: mujoco.MjData, first: int, second: int) -> float:
-    return max(0.0, mujoco.mj_geomDistance(model, data, first, second, _MAX_DISTANCE, None))
+    return max(0.0, mujoco.mj_geomDistance(model, data, first, second, MAX_JAW_DISTANCE, None))
 
 
 def _jaws_by_geoms(
@@ -115,7 +115,7 @@ def _jaws_by_points(
     """The two points, one on the tip of each jaw, that are nearest to each other when closed; None if nothing moves."""
     patches = [_patch(model, states, side) for side in branch_sides]
     travels = [float(_travel(patch).max()) for patch in patches]
-    moving = sorted((k for k in range(len(patches)) if travels[k] > _MIN_OPENING), key=lambda k: -travels[k])[:2]
+    moving = sorted((k for k in range(len(patches)) if travels[k] > MIN_OPENING), key=lambda k: -travels[k])[:2]
     if not moving:
         return None
     chosen = [branch_sides[k] for k in moving]
@@ -129,7 +129,7 @@ def _jaws_by_points(
     closed = int(np.argmin(closeness))
     offset, *indices = nearest[closed]
     points = tuple(BodyPoint(int(tip.bodies[i]), frozen(tip.local[i])) for tip, i in zip(tips, indices, strict=True))
-    return Jaws((chosen[0], chosen[1]), (), points, offset), closed, int(np.argmax(closeness))
+    return Jaws(sides=(chosen[0], chosen[1]), pads=(), points=points, offset=offset), closed, int(np.argmax(closeness))
 
 
 def _patch(model: mujoco.MjModel, states: Sequence[mujoco.MjData], side: frozenset[int]) -> _Patch:

@@ -13,7 +13,7 @@ from armctl.core.validation import Array, IntArray, frozen
 from armctl.model.arm.arm import Arm
 from armctl.model.mjmodel.couplings import dofs_of_tendon
 from armctl.model.mjmodel.queries import acts, actuator_name, is_below, is_on_joint, placed, welded_behind
-from armctl.run.sim.gripper.jaws import Jaws, find_jaws
+from armctl.run.sim.gripper.jaws import MIN_OPENING, Jaws, find_jaws
 from armctl.run.sim.gripper.mechanism import find_mechanism
 from armctl.run.sim.plant import brake
 
@@ -21,7 +21,6 @@ _TABLE_SIZE = 12  # widths for which the controls are tabulated
 _TOUCHING_STATES = 2  # of them: the jaws of a nearly closed gripper may touch
 _MIN_SETTLE_S = 0.1
 _SETTLED_SPEED = 1e-4  # rad/s, m/s
-_MIN_OPENING = 1e-3  # m
 # A servo made of a motor pushes with its full force at this fraction of the joint's range.
 _FULL_FORCE_FRACTION = 0.1
 _SERVO_BANDWIDTH = 0.2  # rad per time step: a tenth of the stability limit of explicit integration of its damping
@@ -100,7 +99,7 @@ def find_gripper_model(arm: Arm) -> GripperModel:
         length[k] = data.actuator_length[list(actuators)]
     size = int(width.argmax()) + 1  # a jaw that turns by more than 180 degrees comes back
     width = np.array(np.maximum.accumulate(width[:size]) + 1e-12 * np.arange(size), dtype=float)  # strictly increasing
-    if np.ptp(width) < _MIN_OPENING:
+    if np.ptp(width) < MIN_OPENING:
         raise ModelError(f"{arm.name}: no gripper: what is behind the tip {arm.tip!r} neither opens nor closes")
     gripper = GripperModel(
         actuators=actuators,
