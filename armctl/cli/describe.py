@@ -35,7 +35,7 @@ def facts(arm: Arm) -> dict[str, Any]:
         "notes": list(arm.notes),
         "static_payload_kg": static_payload(static_payloads(arm)),
         "unknown_payload_kg": max_unknown_payload(arm),
-        "margin_exceptions": list(margin_exceptions(arm)),
+        "margin_exceptions": [str(exception) for exception in margin_exceptions(arm)],
         "bandwidth_rad_per_s": law.bandwidth,
         "slowest_pole_per_s": linearize(arm, law, arm.limits.clamp(arm.home)).slowest_pole,
     }

@@ -1,5 +1,7 @@
 """Which controllers do not satisfy the bounds of the default gains on an arm, and why."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from armctl.control.gains import (
@@ -18,8 +20,20 @@ _PERIODS_S = (0.001, 0.002, 0.004)
 _MAX_GRAVITY_RATIO = 0.5
 
 
-def margin_exceptions(arm: Arm) -> tuple[str, ...]:
-    """What the default gains of an arm do not satisfy, one sentence each; none if every controller has sufficient margins.
+class MarginException(NamedTuple):
+    """Controllers whose default gains do not satisfy the bounds on an arm."""
+
+    controllers: tuple[str, ...]  # their names
+    reason: str  # the rest of a sentence that begins with their names
+
+    def __str__(self) -> str:
+        *others, last = self.controllers
+        names = f"{', '.join(others)} and {last}" if others else last
+        return f"{names}{self.reason}"
+
+
+def margin_exceptions(arm: Arm) -> tuple[MarginException, ...]:
+    """What the default gains of an arm do not satisfy; none if every controller has sufficient margins.
 
     It follows from inertia and gravity at sampled configurations, not from the loops themselves, as `armctl.margins` does.
     """
@@ -29,17 +43,19 @@ def margin_exceptions(arm: Arm) -> tuple[str, ...]:
     missed = [dt for dt in _PERIODS_S if peaks[dt] > MAX_PEAK_SENSITIVITY or excesses[dt] > MAX_GRAVITY_EXCESS]
     if missed:
         periods = ", ".join(f"{1e3 * dt:g}" for dt in missed)
-        found.append(
-            f"pd, pd-feedforward and pd-gravity at control periods of {periods} ms: no gains satisfy both bounds "
+        reason = (
+            f" at control periods of {periods} ms: no gains satisfy both bounds "
             f"(sensitivity {max(peaks.values()):.1f}), because gravity needs {max(excesses.values()):.1f} times the stiffness "
             "that can be damped: the inertia of a joint varies too much with the motion of the others"
         )
+        found.append(MarginException(("pd", "pd-feedforward", "pd-gravity"), reason))
     ratio = _impedance_gravity_ratio(arm)
     if ratio > _MAX_GRAVITY_RATIO:
-        found.append(
-            f"impedance: its peak sensitivity is above {MAX_PEAK_SENSITIVITY:g}, because the torque against gravity changes "
+        reason = (
+            f": its peak sensitivity is above {MAX_PEAK_SENSITIVITY:g}, because the torque against gravity changes "
             f"{ratio:.1f} times as fast as that of the springs; give a higher stiffness"
         )
+        found.append(MarginException(("impedance",), reason))
     return tuple(found)
 
 

@@ -180,7 +180,7 @@ def _assumptions(arm: Arm, warned: Collection[str], is_tip_given: bool) -> Itera
     """What armctl chose because the file does not say it."""
     if not is_tip_given:
         yield Finding(Severity.NOTE, f"the tip is {arm.tip!r:.80}, chosen by armctl", "tip= names another site or body")
-    assumed = [name for name, source in arm.sources.items() if source.startswith("default") or "default for" in source]
+    assumed = [name for name in arm.sources if name in arm.default_limits]
     if assumed:
         text = f"{', '.join(assumed)}: defaults, at least for some joints"
         remedy = "arm.with_limits(...) sets them"

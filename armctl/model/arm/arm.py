@@ -67,6 +67,7 @@ class Arm:
         home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
         notes: The assumptions made when it was loaded, one sentence each.
         sources: The source of each kind of limit, such as `{"tau_max": "forcerange"}`.
+        default_limits: The kinds of limits that armctl chose, at least for some joints, because nothing says them.
         recipe: How its model was made, for plants with further elements; None for an arm of a compiled model.
         unchecked_links: The links of the robot without a collision shape that they need: as long as there are any, no motion is
             proved free of contact. Empty if contacts can be checked.
@@ -99,6 +100,7 @@ class Arm:
     T_body_tip: Pose
     notes: tuple[str, ...]
     sources: dict[str, str]
+    default_limits: frozenset[str]
     recipe: Recipe | None = None
     unchecked_links: tuple[str, ...] = ()
 

@@ -40,7 +40,7 @@ def make_arms(
 def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Sequence[str], recipe: Recipe | None) -> Arm:
     """An arm in a model at home, with the controls of keyframes that are not cleared yet."""
     joint_map = JointMap.from_transmissions(model, plan.joints, plan.transmissions)
-    limits, sources = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet, plan.dc_motors)
+    limits, sources, defaults = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet, plan.dc_motors)
     actuation = Actuation.from_model(model, joint_map, plan.transmissions, limits)
     home = frozen(limits.clamp(qpos[actuation.qpos_adr]))  # joints that others follow may have narrower limits than their range
     whole = qpos.copy()
@@ -59,5 +59,6 @@ def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Se
         T_body_tip=tip.T_body_tip,
         notes=(*notes, *plan.notes, *plan.info_notes),
         sources={"tau_max": plan.tau_source} | sources,
+        default_limits=defaults,
         recipe=recipe,
     )

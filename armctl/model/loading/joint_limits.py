@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -40,6 +41,7 @@ class JointData:
     a_max: Array | None = None  # (n,) rad/s^2, or None
     j_max: Array | None = None  # (n,) rad/s^3, or None
     tau_max: Array | None = None  # (n,) N m, or None
+    has_defaults: bool = False  # whether v_max is a default for some of them
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def datasheet_limits(row: Row | None, n: int) -> JointData | None:
     if row is None:
         return None
     values = {name: getattr(row, name) for name in ("v_max", "a_max", "j_max", "tau_max")}
-    given = {name: np.array(value) for name, value in values.items() if value is not None}
+    given: dict[str, Any] = {name: np.array(value) for name, value in values.items() if value is not None}
     if any(len(value) != n for value in given.values()):
         return None
     return JointData(row.source, **given)
@@ -112,8 +114,10 @@ def joint_limits(
     tau_max: Array,
     datasheet: JointData | None,
     motors: Sequence[DcMotor | None],
-) -> tuple[Limits, dict[str, str]]:
-    """The limits of an arm, positions from the model, the rest from the data sheet or a default; and where each comes from.
+) -> tuple[Limits, dict[str, str], frozenset[str]]:
+    """The limits of an arm, where each kind comes from, and the kinds that are defaults, at least for some joints.
+
+    Positions come from the model, the rest from the data sheet or a default.
 
     A joint that others follow goes only as far as all of them can. The default speed is 2 rad/s (0.5 m/s), of a DC motor
     that without a load. The default acceleration is half of what the torque beyond gravity gives the joint at home if all
@@ -141,6 +145,11 @@ def joint_limits(
     sources = {k: "default" if getattr(given, k) is None else given.source for k in ("v_max", "a_max", "j_max")}
     if has_curve.any():
         sources["v_max"] = "no-load speed" if has_curve.all() else f"no-load speed, {sources['v_max']}"
+    defaults = {k for k in sources if getattr(given, k) is None}
+    if given.has_defaults:
+        defaults.add("v_max")
+    if has_curve.all():
+        defaults.discard("v_max")
     limits = Limits(
         q_min=q_min,
         q_max=q_max,
@@ -151,7 +160,7 @@ def joint_limits(
         stall_torque=stall,
         no_load_speed=no_load,
     )
-    return limits, {"q_min": "model", "q_max": "model", **sources}
+    return limits, {"q_min": "model", "q_max": "model", **sources}, frozenset(defaults)
 
 
 def position_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> tuple[Array, Array]:

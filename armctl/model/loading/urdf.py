@@ -75,7 +75,7 @@ def speed_limits(file: UrdfFile | None, model: mujoco.MjModel, transmissions: Se
     speeds = {joint: speed if speed > 0 else default_speed(model, joint) for joint, speed in speeds.items()}
     v_max = np.array([min(speeds[joint] / abs(mimic.ratio) for joint, mimic in each.coupled.items()) for each in transmissions])
     source = f"URDF; default for {', '.join(missing)}" if missing else "URDF"
-    return JointData(source, v_max)
+    return JointData(source, v_max, has_defaults=bool(missing))
 
 
 def _speed(joint: str, limit: ElementTree.Element | None) -> float:
