@@ -18,9 +18,11 @@ from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import ArmctlError, InputError
 from armctl.core.file_reading import reading
 from armctl.core.log_columns import QUANTITIES, REFERENCES, STATES
-from armctl.core.log_csv import Columns, Units, read_recording
 from armctl.core.other_names import with_hints
 from armctl.core.validation import Array, choice, flag, frozen, instance, matrix, number, shown, words
+
+if TYPE_CHECKING:
+    from armctl.core.log_csv import Columns, Units
 
 _MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10
 _MIN_ROWS = 2  # of a recording, for its velocity
@@ -262,6 +264,8 @@ class Log:
         """
         instance("robot", robot, str, "give a name")
         kind = LogTorques(choice("torques", torques, (LogTorques.MEASURED, LogTorques.COMMANDED)))
+        from armctl.core.log_csv import read_recording
+
         recording = read_recording(path, columns, units)
         names = recording.joint_names if joint_names is None else words("joint_names", joint_names)
         if len(names) != len(recording.joint_names):

@@ -25,12 +25,12 @@ from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.move_free import FreeSpace
-from armctl.run.execution.follow import StreamRun, follow
 from armctl.run.execution.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to
 from armctl.run.execution.obstacles import Obstacles
 
 if TYPE_CHECKING:
     from armctl.report.render.video import Film
+    from armctl.run.execution.follow import StreamRun
 
 
 class PathMoveOptions(PathOptions, total=False):
@@ -256,6 +256,8 @@ class Commands:
             UnknownNameError: The model has no such body.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
+        from armctl.run.execution.follow import follow
+
         return follow(self._arms, self.arm, target, number("duration", duration, self._arms.drive.dt), self._refusal)
 
     def streaming(self) -> StreamRun:
@@ -273,6 +275,8 @@ class Commands:
         Raises:
             LimitError: The arm is outside its limits.
         """
+        from armctl.run.execution.follow import StreamRun
+
         return StreamRun(self._arms, self.arm, self._refusal)
 
     def _refusal(self, pieces: Pieces) -> str:

@@ -24,10 +24,12 @@ from armctl.run.execution.commands import Commands
 from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
 from armctl.run.execution.move import read_controller
 from armctl.run.execution.recorder import ticks_for
-from armctl.run.sim.gripper.gripper import Gripper
 from armctl.run.sim.plant import Plant, read_plant
 from armctl.run.sim.simulated_arms import ConstantTorque, SimulatedArms
 from armctl.run.sim.stepper import Stepper
+
+if TYPE_CHECKING:
+    from armctl.run.sim.gripper.gripper import Gripper
 
 _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 
@@ -118,6 +120,8 @@ class Simulation(Commands):
             ModelError: There is none, or it is a hand of many actuators.
         """
         if self._gripper is None:
+            from armctl.run.sim.gripper.gripper import Gripper
+
             self._gripper = Gripper(self.arm, self._stepper, self._arms.hold)
         return self._gripper
 

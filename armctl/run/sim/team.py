@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -24,10 +24,12 @@ from armctl.plan.planner.move_free import configurations_for
 from armctl.plan.planner.team_planner import ArmGroup, plan_together
 from armctl.run.execution.move import PlannedMove, plan_to, read_controller
 from armctl.run.execution.obstacles import touched_by
-from armctl.run.sim.gripper.gripper import Gripper
 from armctl.run.sim.plant import Plant, read_plant
 from armctl.run.sim.simulated_arms import SimulatedArms
 from armctl.run.sim.stepper import Stepper
+
+if TYPE_CHECKING:
+    from armctl.run.sim.gripper.gripper import Gripper
 
 _Value = TypeVar("_Value")
 
@@ -99,6 +101,8 @@ class Team:
         """
         arm = self.arms[self._known(name)]
         if name not in self._grippers:
+            from armctl.run.sim.gripper.gripper import Gripper
+
             self._grippers[name] = Gripper(arm, self._arms.stepper, self._arms.hold)
         return self._grippers[name]
 

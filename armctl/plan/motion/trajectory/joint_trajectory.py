@@ -18,7 +18,7 @@ from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, frozen, instance, number, shown, vector
 from armctl.model.arm.arm import Arm, check_arm
-from armctl.plan.motion.trajectory import files, piecewise, ros
+from armctl.plan.motion.trajectory import files, piecewise
 from armctl.plan.motion.trajectory.limit_check import QUANTITIES, LimitCheck, check_limits
 from armctl.plan.motion.trajectory.path_stop import speed_changed, stopped
 from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, basis, join_gaps
@@ -288,6 +288,8 @@ class JointTrajectory:
             ArmctlError: The file cannot be written.
         """
         times = self._table_times(dt)
+        from armctl.plan.motion.trajectory import ros
+
         return ros.save(path, ros.message(self.joint_names, times, JointSamples(*self.sample(times)[:3])))
 
     @staticmethod
@@ -317,6 +319,8 @@ class JointTrajectory:
                 f"message: expected a dict, got an object {shown(source)}; "
                 "rosidl_runtime_py.message_to_ordereddict makes a dict of it"
             )
+        from armctl.plan.motion.trajectory import ros
+
         points = ros.waypoints(source if isinstance(source, Mapping) else ros.load(source))
         order = ros.joint_order(points, arm.joint_names)
         arm.check_units("message: positions", points.q[:, order], "messages of ROS have rad and m")
