@@ -291,7 +291,7 @@ class ActionMode(enum.Enum):
 
     cartesian_pose = 4
 
-class EnvironmentRows:
+class EnvironmentBatch:
     """
     Several copies of an arm, each with its own simulation, controller and target.
     """
@@ -342,7 +342,7 @@ class EnvironmentRows:
         noise: numpy.ndarray | None = None,
     ) -> None:
         """
-        Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains the arguments.
+        Copies without simulations, that work on the arrays; armctl/cpp/environment_batch.hpp explains the arguments.
         """
 
     def set_simulation(self, row: int, model: object, data: object) -> None:

@@ -12,7 +12,6 @@ itself, or for a URDF Pinocchio's parser, reads.
 from __future__ import annotations
 
 import argparse
-import re
 import signal
 import sysconfig
 import time
@@ -81,20 +80,14 @@ def _has_joints(path: Path) -> bool:
 
 
 def load_any(path: Path) -> armctl.Arm:
-    """The arm of a file; the first of several equally long chains; with a held base if it is free."""
-    keywords: dict[str, object] = {}
-    for _ in range(3):
-        try:
-            return armctl.load(path, **keywords)
-        except armctl.ModelError as error:
-            choice = re.search(r"choose one with tip=: '([^']*)'", str(error))
-            if "hold_base=True" in str(error) and "hold_base" not in keywords:
-                keywords["hold_base"] = True
-            elif choice is not None and "tip" not in keywords:
-                keywords["tip"] = choice[1]
-            else:
-                raise
-    raise AssertionError("unreachable: each hint is followed once")
+    """The arm of a file, its base held if it is free; the first of several equally long chains."""
+    try:
+        return armctl.load(path, hold_base=True)
+    except armctl.ModelError:
+        first = next((chain for chain in armctl.chains(path) if chain), None)
+        if first is None:
+            raise
+        return armctl.load(path, hold_base=True, tip=first.tip)
 
 
 def gripper_of(arm: armctl.Arm) -> str:

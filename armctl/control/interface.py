@@ -274,7 +274,7 @@ class CompiledController(ABC):
         return law
 
     def _take_ahead(self) -> tuple[Array, ...]:
-        """The reference of the next ticks, for one call of the law; empty unless somebody told it."""
+        """The reference of the next ticks, for one call of the law; empty unless somebody gave it."""
         ahead = self._ahead
         self._ahead = ()
         return ahead

@@ -3,6 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-# Opens the browser page that observes a simulation; takes an Arm and returns a `sim.stepper.Observer`.
+# Opens the browser page that observes a simulation; takes an Arm and returns a `run.sim.stepper.Observer`.
 open_viewer: Callable[[Any], Any] | None = None
 instability: Callable[..., str]  # of an arm, a controller, a configuration and a plant: what a reason says besides

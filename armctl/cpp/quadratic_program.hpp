@@ -22,7 +22,8 @@
 
 namespace armctl {
 
-constexpr double unbounded = 1e30;  // of bounds that the solution does not reach
+constexpr double unbounded = 1e30;        // of bounds that the solution does not reach
+constexpr double limit_tolerance = 1e-9;  // relative, at which a limit counts as respected
 
 struct QuadraticProgram {
     Matrix H;      // (n, n), of which the lower triangle counts

@@ -1,4 +1,4 @@
-"""SimulatedArms: the models and states of MuJoCo for several copies of an arm, and what changes in them for each episode."""
+"""ArmCopies: the models and states of MuJoCo for several copies of an arm, and what changes in them for each episode."""
 
 import copy
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Rows: the simulated arms of a batch of environments, and their compiled step on several threads."""
+"""BatchSimulation: the simulated arms of a batch of environments, and their compiled step on several threads."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -102,7 +102,7 @@ class BatchSimulation:
         self.simulated = ArmCopies(task, np.diff(self._cuts), has_contacts=has_contacts)
         law = controller_by_name(controller, arm)
         assert has_compiled_law(law, n)  # as all controllers that have a name
-        self._core = self._core_rows(law.begin(State(arm.home, np.zeros(n), 0.0, arm.dt)), randomization.max_delay)
+        self._core = self._compiled_batch(law.begin(State(arm.home, np.zeros(n), 0.0, arm.dt)), randomization.max_delay)
         for row in range(count):
             self._core.set_simulation(row, self.simulated.model(row), self.simulated.data(row))
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -148,14 +148,14 @@ class BatchSimulation:
             self._pool.shutdown()
             self._pool = None
 
-    def _core_rows(self, law: _core.Law, max_delay: int) -> _core.EnvironmentRows:
+    def _compiled_batch(self, law: _core.Law, max_delay: int) -> _core.EnvironmentBatch:
         """The compiled steps of all copies, which work on the arrays of this object."""
         arm = self.arm
         mode = self.mode
         grip = self._grip
         objects = self.simulated.object_addresses
         home = arm.fk(arm.home)
-        return _core.EnvironmentRows(
+        return _core.EnvironmentBatch(
             mujoco_api(),
             arm=arm.core_model.for_period(arm.dt, False),
             law=law,

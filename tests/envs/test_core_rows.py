@@ -28,7 +28,7 @@ def env():
     made.close()
 
 
-def remade(rows: BatchSimulation, **changes: object) -> _core.EnvironmentRows:
+def remade(rows: BatchSimulation, **changes: object) -> _core.EnvironmentBatch:
     """The core's rows of an environment with other arguments."""
     made = {}
 
@@ -36,13 +36,13 @@ def remade(rows: BatchSimulation, **changes: object) -> _core.EnvironmentRows:
         made.update(options)
         return rows._core
 
-    original = _core.EnvironmentRows
-    _core.EnvironmentRows = record
+    original = _core.EnvironmentBatch
+    _core.EnvironmentBatch = record
     try:
-        rows._core_rows(_core.PD(stiffness=np.ones(3), damping=np.ones(3)), 2)
+        rows._compiled_batch(_core.PD(stiffness=np.ones(3), damping=np.ones(3)), 2)
     finally:
-        _core.EnvironmentRows = original
-    return _core.EnvironmentRows(mujoco_api(), **(made | changes))
+        _core.EnvironmentBatch = original
+    return _core.EnvironmentBatch(mujoco_api(), **(made | changes))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 
-#include "../environment_rows.hpp"
+#include "../environment_batch.hpp"
 #include "arguments.hpp"
 #include "topics.hpp"
 
@@ -104,29 +104,31 @@ void bind_environments(nb::module_& module) {
         .value("cartesian_delta", ActionMode::cartesian_delta)
         .value("cartesian_pose", ActionMode::cartesian_pose);
     const auto read = [](auto& given) { return environment_arguments(given); };
-    const auto make = [](EnvironmentRows* self, const std::shared_ptr<const MujocoApi>& api, const Model& arm, const Law& law,
-                         EnvironmentArguments given) { new (self) EnvironmentRows(api, arm, law, std::move(given.options), given.arrays); };
-    nb::class_<EnvironmentRows> bound(module, "EnvironmentRows",
-                                      "Several copies of an arm, each with its own simulation, controller and target.");
+    const auto make = [](EnvironmentBatch* self, const std::shared_ptr<const MujocoApi>& api, const Model& arm, const Law& law,
+                         EnvironmentArguments given) {
+        new (self) EnvironmentBatch(api, arm, law, std::move(given.options), given.arrays);
+    };
+    nb::class_<EnvironmentBatch> bound(module, "EnvironmentBatch",
+                                       "Several copies of an arm, each with its own simulation, controller and target.");
     // The rows keep the arrays that they were given, and the simulations.
     bind_constructor<std::shared_ptr<const MujocoApi>, Model, Law>(
         bound, "__init__(self, api: MujocoApi, arm: ArmModel, law: Law", read, make, "api"_a, "arm"_a, "law"_a, "given"_a,
         nb::keep_alive<1, 5>(),
-        "Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains the arguments.");
+        "Copies without simulations, that work on the arrays; armctl/cpp/environment_batch.hpp explains the arguments.");
     bound
         .def(
             "set_simulation",
-            [](EnvironmentRows& self, size_t row, nb::handle model, nb::handle data) {
+            [](EnvironmentBatch& self, size_t row, nb::handle model, nb::handle data) {
                 self.set_simulation(row, mujoco_simulation(model, data));
             },
             "row"_a, "model"_a, "data"_a, nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(), "Gives a copy its mujoco.MjModel and MjData.")
-        .def("restart", &EnvironmentRows::restart, "row"_a, "delay"_a,
+        .def("restart", &EnvironmentBatch::restart, "row"_a, "delay"_a,
              "Begins an episode of a copy, whose commands are delayed by some ticks; its arrays are the caller's.")
-        .def("step", &EnvironmentRows::step, "first"_a, "last"_a, nb::call_guard<nb::gil_scoped_release>(),
+        .def("step", &EnvironmentBatch::step, "first"_a, "last"_a, nb::call_guard<nb::gil_scoped_release>(),
              "Steps the copies [first, last). Returns MuJoCo's message if it could not make a step; else an empty text.")
         .def(
             "rehearse",
-            [](const EnvironmentRows& self, const In& action, const Out& target, const Out& q_ref, const Out& v_ref) {
+            [](const EnvironmentBatch& self, const In& action, const Out& target, const Out& q_ref, const Out& v_ref) {
                 const size_t n = self.joints();
                 self.rehearse(action.vector(self.action_size(), "action"), target.vector(n, "target"), q_ref.vector(n, "q_ref"),
                               v_ref.vector(n, "v_ref"));

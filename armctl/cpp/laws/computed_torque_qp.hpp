@@ -97,7 +97,6 @@ private:
     static constexpr double joint_weight = 0.003;
     static constexpr double max_tip_share = 0.5;     // of the feedback's acceleration: the largest correction for the tip's curved motion
     static constexpr double usable_share = 0.8;      // of the torque left, with which a joint has to be able to stop
-    static constexpr double tolerance = 1e-9;        // relative, at which a limit counts as respected
     static constexpr double violation_weight = 1e4;  // of limits that cannot be respected, relative to the deviation of the tip
 
     // The model at the start of its control period.
@@ -182,8 +181,8 @@ private:
             }
             lower_[n + i] = std::max(-tau_max - tau[i], -unbounded);
             upper_[n + i] = std::min(tau_max - tau[i], unbounded);
-            const double slack = tolerance * (std::abs(desired[i]) + 1.0);
-            const double load = tolerance * std::abs(tau[i]);
+            const double slack = limit_tolerance * (std::abs(desired[i]) + 1.0);
+            const double load = limit_tolerance * std::abs(tau[i]);
             limited = limited || lower_[i] > slack || upper_[i] < -slack || lower_[n + i] > load || upper_[n + i] < -load;
         }
         return limited;

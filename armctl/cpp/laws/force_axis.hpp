@@ -83,7 +83,7 @@ private:
     static constexpr double min_stiffness = 1000.0;    // N/m; a tip that falls into a hole takes it for a soft wall
     static constexpr double max_sinking_speed = 0.25;  // m/s
     static constexpr double first_ratio = 0.25;        // of the contact threshold, the force from which the stiffness is estimated
-    // Of depth and speed, squared sine between their courses, from which stiffness and damping can be told apart.
+    // Of depth and speed, squared sine between their changes over time, from which stiffness and damping can be told apart.
     static constexpr double min_independence = 1e-3;
     static constexpr double rise_time = 0.02;  // s, time constant of the commanded force after the first contact
     // Friction is compensated at this share of the speed that a frictionless mass would have. With all of it, the force loop that

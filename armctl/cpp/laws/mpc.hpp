@@ -66,7 +66,6 @@ private:
     // Of the torque limit, with a plan: the torque that is left at present says little about the place where the joint has to stop.
     // 0.25 gives the same errors; with 0.05 the arm brakes in motions that it can follow.
     static constexpr double planned_brake_share = 0.5;
-    static constexpr double tolerance = 1e-9;           // relative, of a limit
     static constexpr double position_tolerance = 1e-6;  // rad
     // Of limits that contradict others, relative to the cost of a c that would meet them: what remains of the violation is small.
     static constexpr double violation_weight = 1e4;
@@ -335,7 +334,7 @@ private:
         const bool is_near = lower > -near || upper < near;
         lower_[size() + row] = is_near ? std::max(lower, -unbounded) : -unbounded;
         upper_[size() + row] = is_near ? std::min(upper, unbounded) : unbounded;
-        return lower > tolerance || upper < -tolerance;
+        return lower > limit_tolerance || upper < -limit_tolerance;
     }
 
     QuadraticProgram program() {

@@ -47,11 +47,11 @@ struct EnvironmentOptions {
     size_t max_delay = 0;                    // ticks
 };
 
-class EnvironmentRows {
+class EnvironmentBatch {
 public:
     // `arm` is the model that controllers know; each copy gets a clone of the law.
-    EnvironmentRows(std::shared_ptr<const MujocoApi> api, Model arm, const Law& law, EnvironmentOptions options,
-                    const EnvironmentArrays& arrays)
+    EnvironmentBatch(std::shared_ptr<const MujocoApi> api, Model arm, const Law& law, EnvironmentOptions options,
+                     const EnvironmentArrays& arrays)
         : api_(std::move(api)), arm_(std::move(arm)), options_(std::move(options)), arrays_(arrays) {
         if (law.joints() != joints() || arm_->n() != joints()) {
             throw InputError("law, arm: they are not for " + std::to_string(joints()) + " joints");
@@ -64,8 +64,8 @@ public:
         }
     }
 
-    EnvironmentRows(const EnvironmentRows&) = delete;
-    EnvironmentRows& operator=(const EnvironmentRows&) = delete;
+    EnvironmentBatch(const EnvironmentBatch&) = delete;
+    EnvironmentBatch& operator=(const EnvironmentBatch&) = delete;
 
     size_t joints() const { return options_.motors.size(); }
     size_t action_size() const { return action().size; }
@@ -155,7 +155,7 @@ private:
 
     // What a thread needs for its steps.
     struct Workspace {
-        const EnvironmentRows& rows;
+        const EnvironmentBatch& rows;
         ActionTargets targets{rows.arm_, rows.action()};
         TorqueGuard guard{rows.arm_, rows.action()};
         Numbers tau = Numbers(rows.joints());
