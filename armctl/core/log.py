@@ -59,7 +59,8 @@ class Contact(NamedTuple):
         other: The body that it touched; the geom, if it belongs to the world.
         start: s, when they touched first.
         duration: s, how long they touched in total.
-        on_tool: Whether one of them is behind the arm's last joint, like a tool. A flange sensor measures no other contacts.
+        on_tool: Whether one of them is behind the last joint to the (first) tip, like a tool: a flange sensor measures no
+            others.
     """
 
     body: str

@@ -161,7 +161,7 @@ def _direction(arm: Arm, data: mujoco.MjData, points: Array) -> Array:
 def _points(arm: Arm, data: mujoco.MjData) -> Array:
     """(k, 3) m, points of everything behind the last joint that can touch, in the tip's frame."""
     model = arm.model
-    last = int(model.dof_bodyid[arm.dof_adr[-1]])
+    last = arm.last_bodies[0]
     rotation, position = _tip(arm, data)
     points = [np.zeros((0, 3))]
     for geom in range(model.ngeom):

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.core import units
-from armctl.core.errors import ArmctlWarning, InputError, LimitError
+from armctl.core.errors import ArmctlWarning, InputError, LimitError, UnknownNameError
 from armctl.core.limits import Limits
 from armctl.core.other_names import with_hints
 from armctl.core.pose import Pose, computed_pose
@@ -28,7 +28,7 @@ from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.core_model import tips
 from armctl.model.arm.dynamics import Dynamics, core_model
 from armctl.model.arm.joint_map import JointMap
-from armctl.model.arm.pinocchio_model import PinocchioModel, build_pinocchio_model
+from armctl.model.arm.pinocchio_model import PinocchioModel, TipFrame, build_pinocchio_model
 from armctl.model.mjmodel.edit import add_payload
 
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
@@ -53,7 +53,9 @@ class _ThreadDynamics(threading.local):
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A serial arm. Returned by `armctl.load`; immutable, with read-only arrays.
+    """An arm, or several that move together, such as two arms or the fingers of a hand.
+
+    Returned by `armctl.load`; immutable, with read-only arrays.
 
     Arguments `q`, `v`, `a` and `tau` of its methods are (n,) positions, velocities, accelerations and torques of its joints.
 
@@ -61,7 +63,7 @@ class Arm:
         name: The name it was loaded by.
         model: The compiled MuJoCo model; treat it as read-only: simulations copy it.
         actuation: Its n joints: names, limits, couplings, and addresses in the arrays of MuJoCo.
-        tip: The name of the site, body or geom at the end.
+        tip: The name of the site, body or geom at the end; of several tips the first one.
         home: (n,) rad, the rest position.
         home_qpos: (nq,) the whole model at home; joints outside the chain are held there.
         home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
@@ -71,6 +73,7 @@ class Arm:
         recipe: How its model was made, for plants with further elements; None for an arm of a compiled model.
         unchecked_links: The links of the robot without a collision shape that they need: as long as there are any, no motion is
             proved free of contact. Empty if contacts can be checked.
+        further_tips: The tips besides the first one, where `load` was given `tips`.
     """
 
     if not TYPE_CHECKING:
@@ -103,6 +106,7 @@ class Arm:
     default_limits: frozenset[str]
     recipe: Recipe | None = None
     unchecked_links: tuple[str, ...] = ()
+    further_tips: tuple[TipFrame, ...] = ()
 
     @property
     def n(self) -> int:
@@ -110,8 +114,35 @@ class Arm:
         return len(self.actuation.joint_names)
 
     @property
+    def tips(self) -> tuple[str, ...]:
+        """The names of all tips. Calls that take no tip mean the first one."""
+        return (self.tip, *(each.name for each in self.further_tips))
+
+    @property
+    def tip_frames(self) -> tuple[TipFrame, ...]:
+        """All tips, as frames in bodies of the model."""
+        return (TipFrame(self.tip, self.tip_body, self.T_body_tip), *self.further_tips)
+
+    @property
+    def last_bodies(self) -> tuple[int, ...]:
+        """For each tip, the body that the last of the joints to it moves: what is behind that body moves with the tip."""
+        moved = self.moved_bodies
+        found = []
+        for frame in self.tip_frames:
+            body = frame.body
+            while body not in moved:
+                body = int(self.model.body_parentid[body])
+            found.append(body)
+        return tuple(found)
+
+    @property
+    def moved_bodies(self) -> frozenset[int]:
+        """The bodies that carry the n joints."""
+        return frozenset(self.model.dof_bodyid[self.dof_adr].tolist())
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
-        """The n joints, from the base to the tip."""
+        """The n joints, from the base to the first tip, then those that move the other tips only."""
         return self.actuation.joint_names
 
     @property
@@ -228,15 +259,30 @@ class Arm:
         unit = self.units[i]
         return f"{self.joint_names[i]}: {value:g} {unit} is outside [{low:.3f}, {high:.3f}] {unit}"
 
-    def fk(self, q: ArrayLike) -> Pose:
-        """Forward kinematics: T_world_tip. It warns about positions of more than two turns that may be degrees."""
+    def fk(self, q: ArrayLike, tip: str | None = None) -> Pose:
+        """Forward kinematics: T_world_tip. It warns about positions of more than two turns that may be degrees.
+
+        Args:
+            tip: One of `tips`; the first one if left out.
+
+        Raises:
+            UnknownNameError: The arm has no such tip.
+        """
         given = vector("q", q, self.n)
         if (np.abs(given) > _TWO_TURNS).any():
             try:
                 self.check_units("q", given)
             except LimitError as error:
                 warnings.warn(ArmctlWarning(str(error)), stacklevel=2)
-        return computed_pose(*self.pinocchio_model.tip(given))
+        if tip is None:
+            return computed_pose(*self.pinocchio_model.tip(given))
+        return computed_pose(*self.pinocchio_model.further_tip(given, self._tip_number(tip)))
+
+    def _tip_number(self, tip: str) -> int:
+        """Which of the tips has a name."""
+        if tip not in self.tips:
+            raise UnknownNameError.from_known(f"tip of {self.name:.60}", tip, self.tips)
+        return self.tips.index(tip)
 
     def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:
         """Forward kinematics of many positions at once.
@@ -249,13 +295,19 @@ class Arm:
         """
         return tips(self.core_model, matrix("q", q, self.n))
 
-    def jacobian(self, q: ArrayLike) -> Array:
-        """The Jacobian of the tip: its twist is J(q) v.
+    def jacobian(self, q: ArrayLike, tip: str | None = None) -> Array:
+        """The Jacobian of a tip: its twist is J(q) v.
+
+        Args:
+            tip: One of `tips`; the first one if left out.
 
         Returns:
             (6, n), linear first, world axes, at the tip.
+
+        Raises:
+            UnknownNameError: The arm has no such tip.
         """
-        return self.pinocchio_model.jacobian(vector("q", q, self.n))
+        return self.pinocchio_model.jacobian(vector("q", q, self.n), 0 if tip is None else self._tip_number(tip))
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """The joint-space mass matrix M(q), armature included, as MuJoCo's `mj_fullM`.
@@ -413,7 +465,8 @@ class Arm:
         return with_model(self, model)
 
     def __repr__(self) -> str:
-        return f"Arm({self.name!r}, {self.n} joints, tip {self.tip!r})"
+        tips = f"tips {', '.join(map(repr, self.tips))}" if self.further_tips else f"tip {self.tip!r}"
+        return f"Arm({self.name!r}, {self.n} joints, {tips})"
 
     def _repr_html_(self) -> str:
         columns = {"home": self.home, **{f.name: getattr(self.limits, f.name) for f in fields(self.limits)}}
@@ -427,10 +480,21 @@ class Arm:
 def with_model(arm: Arm, model: mujoco.MjModel) -> Arm:
     """An arm with another MuJoCo model of the same robot."""
     chain = arm.pinocchio_model.chain_length
-    body = build_pinocchio_model(model, chain, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip)
+    body = build_pinocchio_model(model, chain, arm.joint_map, arm.home_qpos, arm.tip_frames)
     return replace(arm, model=model, pinocchio_model=body)
 
 
 def check_arm(arm: object) -> None:
     """Raises InputError if an argument is not an arm."""
     instance("arm", arm, Arm, f"armctl.load({arm if isinstance(arm, str) else 'panda'!r}) returns one")
+
+
+def check_one_tip(arm: Arm) -> None:
+    """Raises InputError for what is no arm with one tip."""
+    check_arm(arm)
+    if arm.further_tips:
+        names = ", ".join(map(repr, arm.tips))
+        raise InputError(
+            f"arm: it has the tips {names:.200}, and a pose is for one; armctl.load(..., tip={arm.tip!r:.80}) "
+            "loads the arm to it, and joint positions move all"
+        )

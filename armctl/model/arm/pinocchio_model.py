@@ -1,4 +1,4 @@
-"""The Pinocchio model of one serial chain, built from the compiled MuJoCo model, body by body.
+"""The Pinocchio model of an arm, built from the compiled MuJoCo model, body by body.
 
 Every joint turns about, or slides along, the z axis of its own frame. Joints outside the chain are held where they are, so the
 bodies behind them are rigidly connected to the link that carries them. Joints that follow a joint of the chain are Pinocchio's
@@ -6,8 +6,10 @@ mimic joints.
 """
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,6 +24,14 @@ from armctl.model.mjmodel.queries import last_joint_above
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
+class TipFrame(NamedTuple):
+    """A tip: a frame in one of the bodies."""
+
+    name: str
+    body: int
+    T_body_tip: Pose
+
+
 class _PinocchioScratch(threading.local):
     """Pinocchio's scratch memory and the place of the tip in it, one for each thread."""
 
@@ -33,11 +43,11 @@ class _PinocchioScratch(threading.local):
 
 @dataclass(frozen=True, eq=False)
 class PinocchioModel:
-    """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them."""
+    """Kinematics and inertia of an arm: its first tip behind a chain of k joints, other joints, and their tips."""
 
-    joint_map: JointMap  # how the n move the chain's joints, and what else; k = n where no joint follows another
-    pin_model: pin.Model  # the Pinocchio model; its frame `tip_frame` is the tip
-    tip_frame: int  # index of the tip's frame
+    joint_map: JointMap  # how the n move the chain's joints, which come first in it, and what else
+    pin_model: pin.Model  # the Pinocchio model; its frame `tip_frame` is the first tip
+    tip_frame: int  # index of the first tip's frame; those of further tips follow
     # (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world)
     placements: Array
     is_slide: BoolArray  # (k,) bool, True where the joint slides along its z axis instead of turning about it
@@ -66,9 +76,16 @@ class PinocchioModel:
     def _memory(self) -> _PinocchioScratch:
         return _PinocchioScratch(self.pin_model, self.tip_frame)
 
-    def jacobian(self, q: Array) -> Array:
-        """The tip's Jacobian (6, n) at q (n,), linear first, world axes."""
-        J = pin.computeFrameJacobian(self.pin_model, self._memory.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
+    def further_tip(self, q: Array, index: int) -> tuple[Array, Array]:
+        """As `tip`, of a tip by its number; the first one is 0."""
+        data = self._memory.data
+        pin.framesForwardKinematics(self.pin_model, data, q)
+        T = data.oMf[self.tip_frame + index]
+        return T.translation, T.rotation
+
+    def jacobian(self, q: Array, index: int = 0) -> Array:
+        """The Jacobian (6, n) of a tip by its number at q (n,), linear first, world axes."""
+        J = pin.computeFrameJacobian(self.pin_model, self._memory.data, q, self.tip_frame + index, WORLD_AXES_AT_TIP)
         return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
 
     def __reduce__(self):
@@ -76,9 +93,12 @@ class PinocchioModel:
 
 
 def build_pinocchio_model(
-    model: mujoco.MjModel, chain_length: int, joint_map: JointMap, qpos: Array, tip_body: int, T_body_tip: Pose
+    model: mujoco.MjModel, chain_length: int, joint_map: JointMap, qpos: Array, tips: Sequence[TipFrame]
 ) -> PinocchioModel:
-    """The rigid-body model of a chain: of the joints of `joint_map` the first `chain_length`; `qpos` holds all others."""
+    """The rigid-body model of an arm; `qpos` holds all joints outside it.
+
+    Of the joints of `joint_map`, the first `chain_length` are those from the base to the first tip.
+    """
     joints = joint_map.joints
     data = mujoco.MjData(model)
     zero = model.qpos0[model.jnt_qposadr[list(joints)]]
@@ -107,7 +127,8 @@ def build_pinocchio_model(
     support = pin_model.copy() if has_gravity and np.any(model.body_gravcomp) else None
     pin_model.armature = joint_map.ratio.T**2 @ model.dof_armature[joint_map.dof_adr]
 
-    for body, owner in enumerate(last_joint_above(model, joints)):
+    owners = last_joint_above(model, joints)
+    for body, owner in enumerate(owners):
         if owner < 0 or not (model.body_mass[body] or model.body_inertia[body].any()):
             continue
         T_joint_inertia = frames[owner].actInv(_se3(data.xipos[body], data.ximat[body]))
@@ -118,9 +139,13 @@ def build_pinocchio_model(
             lifted = pin.Inertia(mass * model.body_gravcomp[body], np.zeros(3), np.zeros((3, 3)))
             support.appendBodyToJoint(owner + 1, lifted, T_joint_inertia)
 
-    T_world_tip = _se3(data.xpos[tip_body], data.xmat[tip_body]) * pin.SE3(T_body_tip.rotation, T_body_tip.position)
-    T_last_tip = frames[chain_length - 1].actInv(T_world_tip)
+    placed = [_se3(data.xpos[each.body], data.xmat[each.body]) * _pinocchio_pose(each.T_body_tip) for each in tips]
+    T_last_tip = frames[chain_length - 1].actInv(placed[0])
     tip_frame = pin_model.addFrame(pin.Frame("tip", chain_length, 0, T_last_tip, pin.FrameType.OP_FRAME))
+    for tip, T_world_tip in zip(tips[1:], placed[1:], strict=True):
+        owner = owners[tip.body]
+        frame = pin.Frame(f"tip {tip.name}", owner + 1, 0, frames[owner].actInv(T_world_tip), pin.FrameType.OP_FRAME)
+        pin_model.addFrame(frame)
     return PinocchioModel(
         joint_map=joint_map,
         pin_model=pin_model,
@@ -157,6 +182,10 @@ def _joint_displacement(q: float, slides: bool) -> pin.SE3:
     if slides:
         return pin.SE3(np.eye(3), np.array([0.0, 0.0, q]))
     return pin.SE3(pin.utils.rotate("z", q), np.zeros(3))
+
+
+def _pinocchio_pose(T: Pose) -> pin.SE3:
+    return pin.SE3(T.rotation, T.position)
 
 
 def _se3(position: Array, rotation: Array) -> pin.SE3:

@@ -1,10 +1,12 @@
 """First stage of loading: describe the arms in a compiled model. Nothing is changed."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import permutations
 
-from armctl.core.errors import ModelError, UnknownNameError
+from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, instance, shown
 from armctl.model.loading.actuators import actuator_notes, dc_motors
@@ -26,13 +28,15 @@ class ArmEnds:
     tip: str | None = None  # the name of the site, body or geom at the end; None for the one that armctl finds
     base: str | None = None  # the name of the body that the arm stands on; None for the world
     tip_offset: Pose | None = None  # the tip in that element's frame; None for the frame itself
+    further_tips: tuple[str, ...] = ()  # the names of other tips of the same arm
 
 
 @dataclass(frozen=True, eq=False)
 class ArmPlan:
     """What one arm of a model will be."""
 
-    joints: Joints  # the joints from the base to the tip, without the springs of elastic joints
+    joints: Joints  # the joints from the base to the tip, then those to further tips, without the springs of elastic joints
+    chain_length: int  # how many of them lead to the tip
     transmissions: tuple[Transmission, ...]  # what moves each of its n joints
     dc_motors: tuple[DcMotor | None, ...]  # the DC motor of each of them, or None
     tip: Tip  # its tip, in the body's number of the model that is described
@@ -41,6 +45,12 @@ class ArmPlan:
     tau_source: str  # where the torque limits come from
     notes: tuple[str, ...]  # what had to be assumed, one sentence each
     info_notes: tuple[str, ...]  # what needs no warning, one sentence each
+    further_tips: tuple[Tip, ...] = ()  # numbered as the tip
+
+    def renumbered(self, number: Callable[[int], int]) -> ArmPlan:
+        """The same arm in another model, in which the bodies of the tips have other numbers."""
+        tip = replace(self.tip, body=number(self.tip.body))
+        return replace(self, tip=tip, further_tips=tuple(replace(each, body=number(each.body)) for each in self.further_tips))
 
 
 def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnds]) -> list[ArmPlan]:
@@ -50,7 +60,7 @@ def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnd
         if reason := _why_dependent(analysis, one, other):
             raise ModelError(reason)
     return [
-        _described(source, analysis, joints, tip.moved(each.tip_offset), each.tip is None and source.urdf is not None)
+        _described(source, analysis, [(joints, tip.moved(each.tip_offset)), *_further_chains(analysis, each)], each)
         for (joints, tip), each in zip(chains, ends, strict=True)
     ]
 
@@ -58,10 +68,7 @@ def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnd
 def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[Joints, Tip]:
     """The joints and the tip of one arm, without its tip offset."""
     model = analysis.model
-    base = 0
-    if ends.base is not None:
-        instance("base", ends.base, str, "give the name of a body")
-        base = body_named(model, ends.base)
+    base = _base(analysis, ends)
     if ends.tip is not None:
         tip = named_tip(model, ends.tip)
         return chain_to(analysis, tip.body, base), tip
@@ -76,17 +83,43 @@ def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[J
     return joints, tip.moved(Pose(row.tip_offset or (0.0, 0.0, 0.0)))
 
 
-def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip, chosen: bool) -> ArmPlan:
+def _base(analysis: Transmissions, ends: ArmEnds) -> int:
+    """The body that an arm stands on; 0 for the world."""
+    if ends.base is None:
+        return 0
+    instance("base", ends.base, str, "give the name of a body")
+    return body_named(analysis.model, ends.base)
+
+
+def _further_chains(analysis: Transmissions, ends: ArmEnds) -> list[tuple[Joints, Tip]]:
+    """The joints and the tip of each further chain of an arm."""
+    taken = [ends.tip]
+    chains = []
+    for name in ends.further_tips:
+        if name in taken:
+            raise InputError(f"tips: {shown(name)} is given twice")
+        taken.append(name)
+        tip = named_tip(analysis.model, name)
+        chains.append((chain_to(analysis, tip.body, _base(analysis, ends)), tip))
+    return chains
+
+
+def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[Joints, Tip]], ends: ArmEnds) -> ArmPlan:
+    """What an arm will be; its first chain is that of its first tip."""
     model = analysis.model
+    (chain, tip), *others = chains
+    joints = _depth_first([each for each, _ in chains])
     transmissions = analysis.of_chain(joints)
-    datasheet = speed_limits(source.urdf, model, transmissions) or datasheet_limits(source.row, len(transmissions))
+    datasheet = speed_limits(source.urdf, model, transmissions) or _datasheet(source, analysis, [each for each, _ in chains])
     motors = dc_motors(source, model, transmissions)
     torques = torque_limits(model, transmissions, datasheet, motors, "actfrcrange" if source.urdf is None else "URDF effort")
     warned, quiet = actuator_notes(analysis, joints, transmissions, motors)
     driven = tuple(joint for joint in joints if joint not in analysis.springs)
     doubts = unit_doubts(model, driven, tip.body, tip.T_body_tip.position)
+    is_chosen = ends.tip is None and source.urdf is not None
     return ArmPlan(
         joints=driven,
+        chain_length=sum(joint not in analysis.springs for joint in chain),
         transmissions=transmissions,
         dc_motors=motors,
         tip=tip,
@@ -97,11 +130,38 @@ def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip
             *doubts,
             *torques.notes,
             *warned,
-            *end_note(analysis, joints),
-            *(axis_note(model, joints, tip) if chosen else []),
+            *(note for each, _ in chains for note in end_note(analysis, each)),
+            *(axis_note(model, chain, tip) if is_chosen else []),
         ),
         info_notes=tuple(quiet),
+        further_tips=tuple(other for _, other in others),
     )
+
+
+def _depth_first(chains: Sequence[Joints]) -> Joints:
+    """All joints of chains, each followed by all that it carries, as Pinocchio needs them; those of the first chain first."""
+    carried: dict[int, list[int]] = {-1: []}
+    for chain in chains:
+        for above, joint in zip((-1, *chain), chain, strict=False):
+            if joint not in carried:
+                carried[joint] = []
+                carried[above].append(joint)
+    found: list[int] = []
+    waiting = [-1]
+    while waiting:
+        joint = waiting.pop()
+        found.append(joint)
+        waiting += reversed(carried[joint])
+    return tuple(found[1:])
+
+
+def _datasheet(source: Source, analysis: Transmissions, chains: Sequence[Joints]) -> JointData | None:
+    """The limits of a data sheet for the joints of chains: those of one arm, or of equal ones that share no joint."""
+    counts = {len(analysis.of_chain(chain)) for chain in chains}
+    if len(counts) > 1 or len(set().union(*chains)) < sum(map(len, chains)):
+        return None
+    one = datasheet_limits(source.row, counts.pop())
+    return one if one is None else one.repeated(len(chains))
 
 
 def _why_dependent(analysis: Transmissions, one: Joints, other: Joints) -> str:

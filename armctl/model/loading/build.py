@@ -10,7 +10,7 @@ from armctl.core.validation import Array, frozen
 from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.arm import Arm, Recipe
 from armctl.model.arm.joint_map import JointMap
-from armctl.model.arm.pinocchio_model import build_pinocchio_model
+from armctl.model.arm.pinocchio_model import TipFrame, build_pinocchio_model
 from armctl.model.loading.arm_plan import ArmPlan
 from armctl.model.loading.home import home_controls, home_qpos
 from armctl.model.loading.joint_limits import joint_limits
@@ -46,13 +46,14 @@ def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Se
     whole = qpos.copy()
     joint_map.set_positions(whole, home)
     tip = plan.tip
+    frames = [TipFrame(each.name, each.body, each.T_body_tip) for each in (tip, *plan.further_tips)]
     return Arm(
         name=name,
         model=model,
         actuation=actuation,
         tip=tip.name,
         home=home,
-        pinocchio_model=build_pinocchio_model(model, len(plan.joints), joint_map, whole, tip.body, tip.T_body_tip),
+        pinocchio_model=build_pinocchio_model(model, plan.chain_length, joint_map, whole, frames),
         home_qpos=frozen(whole),
         home_ctrl=home_controls(model),
         tip_body=tip.body,
@@ -61,4 +62,5 @@ def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Se
         sources={"tau_max": plan.tau_source} | sources,
         default_limits=defaults,
         recipe=recipe,
+        further_tips=tuple(frames[1:]),
     )

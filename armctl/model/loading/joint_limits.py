@@ -1,8 +1,8 @@
 """The limits of an arm's joints: from the model, a data sheet or a URDF, else documented defaults."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -42,6 +42,11 @@ class JointData:
     j_max: Array | None = None  # (n,) rad/s^3, or None
     tau_max: Array | None = None  # (n,) N m, or None
     has_defaults: bool = False  # whether v_max is a default for some of them
+
+    def repeated(self, arms: int) -> Self:
+        """The limits of so many equal arms, one after the other."""
+        limits = {name: getattr(self, name) for name in ("v_max", "a_max", "j_max", "tau_max")}
+        return replace(self, **{name: None if each is None else np.tile(each, arms) for name, each in limits.items()})
 
 
 @dataclass(frozen=True)

@@ -147,6 +147,7 @@ def load(
     robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
     *,
     tip: str | None = None,
+    tips: Sequence[str] | None = None,
     tip_offset: Pose | None = None,
     base: str | None = None,
     hold_base: bool = False,
@@ -155,9 +156,9 @@ def load(
     srdf: str | os.PathLike[str] | None = None,
     shapes: str | None = None,
 ) -> Arm:
-    """An arm: any serial chain of any robot, its actuators turned into torque motors.
+    """An arm: any serial chain of any robot, or several that move together, its actuators turned into torque motors.
 
-    All joints outside the chain are held where the model's keyframe puts them.
+    All other joints are held where the model's keyframe puts them.
 
     Args:
         robot: The bundled arm ("robot_arm_3dof"), an alias ("panda"), a Menagerie name ("franka_emika_panda", or
@@ -167,7 +168,9 @@ def load(
             model has a mocap body named "target", and `hold_base`, `tool`, `scene`, `srdf` and `shapes` need the MjSpec or the
             file.
         tip: The site, body or geom at the end of the chain. Left out, armctl finds the chain and its tip.
-        tip_offset: The tip in that element's frame.
+        tips: Instead of `tip`, the ends of several chains of one arm, such as both hands of a robot. The first one is the tip
+            of calls that take no other; joints that two chains share count once.
+        tip_offset: The tip, or the first one, in that element's frame.
         base: The body at the start of the chain: joints above it are held. Left out, the chain starts at the world.
         hold_base: Whether to hold a robot that floats or walks, such as a quadruped, where its keyframe puts it.
         tool: The gripper or hand to mount at the tip: by name, MJCF file or MjSpec. The tip is then the tool's.
@@ -188,7 +191,15 @@ def load(
     """
     if tip_offset is not None:
         instance("tip_offset", tip_offset, Pose, "armctl.Pose([0, 0, 0.1]) is 0.1 m along z")
-    ends = [ArmEnds(tip, base, tip_offset)]
+    further_tips: tuple[str, ...] = ()
+    if tips is not None:
+        if tip is not None:
+            raise InputError("tip, tips: both are given; give tips for several tips, and tip for one")
+        if tool is not None:
+            raise InputError("tool: it is mounted at the tip of an arm with one tip; load it with tip=")
+        tip, *others = _names("tips", tips)
+        further_tips = tuple(others)
+    ends = [ArmEnds(tip, base, tip_offset, further_tips=further_tips)]
     return _loaded(robot, ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)[0]
 
 
@@ -226,8 +237,7 @@ def load_arms(
     Warns:
         ArmctlWarning: The model leaves out something that had to be assumed; a `MissingShapeWarning` if links have no shape.
     """
-    if isinstance(tips, str) or not isinstance(tips, Sequence) or not tips:
-        raise InputError(f"tips: {shown(tips)} is not a list of names, such as ['left/gripper', 'right/gripper']")
+    tips = _names("tips", tips)
     bases: list[str | None]
     if base is None or isinstance(base, str):
         bases = [base for _ in tips]
@@ -239,6 +249,13 @@ def load_arms(
         raise InputError(f"base: {len(bases)} given for {len(tips)} tips; give one for each, or one for all")
     ends = [ArmEnds(named_tip, named_base) for named_tip, named_base in zip(tips, bases, strict=True)]
     return _loaded(robot, ends, hold_base=hold_base, tool=None, scene=scene, srdf=srdf, shapes=shapes)
+
+
+def _names(what: str, names: Sequence[str]) -> list[str]:
+    """A list of names from a caller."""
+    if isinstance(names, str) or not isinstance(names, Sequence) or not names:
+        raise InputError(f"{what}: {shown(names)} is not a list of names, such as ['left/gripper', 'right/gripper']")
+    return list(names)
 
 
 def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> list[SerialChain]:

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 
@@ -72,7 +72,7 @@ def make_arm_model(
     if edit is not None:
         edit(spec)
     model = source.compile(spec)
-    renumbered = tuple(replace(plan, tip=replace(plan.tip, body=bodies[plan.tip.body].id)) for plan in plans)
+    renumbered = tuple(plan.renumbered(lambda body: bodies[body].id) for plan in plans)
     return PreparedModel(model=model, plans=renumbered, notes=tuple(notes), info_notes=tuple(excluded))
 
 

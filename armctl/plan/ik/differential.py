@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError
 from armctl.core.target import TargetLike
 from armctl.core.validation import Array, choice, flag, frozen, number, shown, vector
-from armctl.model.arm.arm import Arm, check_arm
+from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.ik.problem import read_target
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class DifferentialIk:
 
         from armctl.plan.ik.tasks import ClearanceLimit, TipTask
 
-        check_arm(arm)
+        check_one_tip(arm)
         self._solver = choice("solver", solver, QP_SOLVERS)
         rest = arm.home if posture is None else arm.checked("posture", posture)
         self.arm = arm

@@ -16,7 +16,7 @@ from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.target import Target, TargetLike
 from armctl.core.validation import Array, BoolArray, IntArray, as_array, choice, frozen, integer, matrix, number, vector
-from armctl.model.arm.arm import Arm, check_arm
+from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.model.arm.core_model import tips
 from armctl.plan.ik.closed_form_recognition import ClosedForm, Hinges, closed_form_of
 
@@ -216,10 +216,10 @@ _chains: dict[int, IkChain] = {}
 
 
 def ik_chain(arm: Arm) -> IkChain:
-    """The chain of an arm, made once for each arm; an InputError if it is no arm."""
+    """The chain of an arm, made once for each arm; an InputError if it is no arm, or has several tips."""
     chain = _chains.get(id(arm))
     if chain is None:
-        check_arm(arm)
+        check_one_tip(arm)
         chain = _make_chain(arm)
         _chains[id(arm)] = chain
         finalize(arm, _chains.pop, id(arm), None)

@@ -16,7 +16,7 @@ from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown, vector
-from armctl.model.arm.arm import Arm
+from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.ik.all_solutions import solve_ik_all
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.moving_start import planned_from
@@ -182,6 +182,7 @@ def _planned(arm: Arm, q_start: Pose | Setpoint | ArrayLike, request: _Request, 
 
 def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
     parts = request.parts
+    check_one_tip(arm)
     planning = planning_arm(arm, options.get("speed", 1.0))
     if isinstance(q_start, Pose):
         return _best_branch(arm, q_start, lambda q: _plan(arm, q, request, options))

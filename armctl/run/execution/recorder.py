@@ -17,7 +17,7 @@ from armctl.core.validation import Array, read_only
 from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.arm import Arm
 from armctl.model.arm.core_model import quaternions, tips
-from armctl.model.mjmodel.queries import body_name, geom_owner_name, is_below
+from armctl.model.mjmodel.queries import body_name, geom_owner_name
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
 _MAX_KEPT_ROWS = 20_000  # of a reference
@@ -183,14 +183,14 @@ class Recorder:
         """What the moving bodies of the arm touched. Contacts among the bodies behind its last joint do not count."""
         if not any(part.contacts for part in self._parts):
             return ()
-        moving, gripper = _moving_bodies(arm)
+        moving, last = _moving_bodies(arm)
         start: dict[tuple[int, int], int] = {}
         ticks: dict[tuple[int, int], int] = {}
         offset = 0
         for part in self._parts:
             ends = [*(row for row, _ in part.contacts), part.count][1:]
             for (row, geoms), end in zip(part.contacts, ends, strict=True):
-                for pair in _touching(self._model, geoms, moving, gripper):
+                for pair in _touching(self._model, geoms, moving, last):
                     start.setdefault(pair, offset + row)
                     ticks[pair] = ticks.get(pair, 0) + max(0, end - row)
             offset += part.count
@@ -200,7 +200,7 @@ class Recorder:
                 other=geom_owner_name(self._model, -1 - pair[1]) if pair[1] < 0 else body_name(self._model, pair[1]),
                 start=dt * start[pair],
                 duration=dt * ticks[pair],
-                on_tool=not gripper.isdisjoint(pair),
+                on_tool=arm.last_bodies[0] in map(last.get, pair),
             )
             for pair in sorted(start, key=lambda pair: start[pair])
             if ticks[pair]
@@ -227,22 +227,31 @@ def ticks_for(duration: float, dt: float) -> int:
     return math.ceil(ticks - 1e-9) + 1
 
 
-def _moving_bodies(arm: Arm) -> tuple[frozenset[int], frozenset[int]]:
-    """The bodies that the arm moves, and those among them behind its last joint, such as a gripper's."""
+def _moving_bodies(arm: Arm) -> tuple[frozenset[int], dict[int, int]]:
+    """The bodies that the arm moves, and of those behind the last joint to a tip, such as a gripper's, that joint's body."""
     model = arm.model
-    first = int(model.dof_bodyid[arm.dof_adr[0]])
-    last = int(model.dof_bodyid[arm.dof_adr[-1]])
-    moving = frozenset(body for body in range(1, model.nbody) if is_below(model, body, first))
-    return moving, frozenset(body for body in moving if is_below(model, body, last))
+    moving: set[int] = set()
+    last: dict[int, int] = {}
+    moved = arm.moved_bodies
+    ends = arm.last_bodies
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        if body in moved or parent in moving:
+            moving.add(body)
+        if body in ends:
+            last[body] = body
+        elif parent in last:
+            last[body] = last[parent]
+    return frozenset(moving), last
 
 
-def _touching(model: mujoco.MjModel, geoms: bytes, moving: frozenset[int], gripper: frozenset[int]) -> set[tuple[int, int]]:
+def _touching(model: mujoco.MjModel, geoms: bytes, moving: frozenset[int], last: dict[int, int]) -> set[tuple[int, int]]:
     """The pairs that touch: the arm's body, and the other body, or -1 - geom for a geom of the world."""
     pairs = set()
     for first_geom, second_geom in np.frombuffer(geoms, np.int32).reshape(-1, 2).tolist():
         first = int(model.geom_bodyid[first_geom])
         second = int(model.geom_bodyid[second_geom])
-        if first == second or (first in gripper and second in gripper):
+        if first == second or (first in last and last[first] == last.get(second)):
             continue
         if first in moving:
             pairs.add((first, second or -1 - second_geom))

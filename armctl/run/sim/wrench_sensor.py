@@ -43,10 +43,7 @@ class WrenchSensor:
         self._model = model
         self._data = built.data
         self._period = (built.dt, built.continuous)
-        self._sites = [
-            _Site(int(arm.model.dof_bodyid[arm.dof_adr[-1]]), arm.tip_body, arm.T_body_tip.position, arm.core_model)
-            for arm in arms
-        ]
+        self._sites = [_Site(arm.last_bodies[0], arm.tip_body, arm.T_body_tip.position, arm.core_model) for arm in arms]
         self._ends = np.cumsum([arm.n for arm in arms]).tolist()
         self._has_connections = bool(np.isin(model.eq_type, _CARTESIAN_EQUALITIES).any())
         self._noise_scale = np.tile([plant.force_noise] * 3 + [plant.moment_noise] * 3, len(arms))

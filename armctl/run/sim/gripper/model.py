@@ -195,7 +195,7 @@ def _has_range(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def _last_body(arm: Arm) -> int:
-    return int(arm.model.dof_bodyid[arm.dof_adr[-1]])
+    return arm.last_bodies[0]
 
 
 def _behind(arm: Arm) -> tuple[frozenset[int], IntArray]:
