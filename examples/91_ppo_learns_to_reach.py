@@ -77,7 +77,7 @@ policy = PPO(
     device="cpu",
     seed=0,
 )
-policy.learn(600_000)
+policy.learn(int(sys.argv[2]) if len(sys.argv) > 2 else 600_000)
 print(f"{policy.num_timesteps} steps in {time.process_time() - start:.0f} s of CPU time")
 touching = ArmVectorEnv("panda", action="joint_delta", num_envs=500, contacts=True)
 for name, tested in (("without contacts", envs), ("with contacts", touching)):

@@ -149,8 +149,9 @@ def test_torque_noise_follows_the_step_of_the_encoder_and_is_zero_without(arm):
 
 
 @pytest.mark.full
-def test_a_comparison_and_a_tuning_name_the_least_damping_of_a_law_that_vibrates(tmp_path):
-    arm = serial_arm(tmp_path, ARMS["light"])
+@pytest.mark.parametrize("shape", ["light", pytest.param("heavy", marks=pytest.mark.nightly)])
+def test_a_comparison_and_a_tuning_name_the_least_damping_of_a_law_that_vibrates(tmp_path, shape):
+    arm = serial_arm(tmp_path, ARMS[shape])
     motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
     vibrating = armctl.compare(arm, ["pd-gravity"], motion, [elastic(arm, 6.0)], configurations=1)
     assert ("least damping" in armctl.table(vibrating)) == (vibrating[0].damping_ratio < 0.1)

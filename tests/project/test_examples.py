@@ -9,9 +9,9 @@ from pathlib import Path
 import mujoco_menagerie
 import pytest
 from arms import MISSING, some_of
+from example_outputs import APART, EXAMPLES, assert_printed
 
 import armctl
-from examples import APART, EXAMPLES, assert_printed
 
 LONG_EXAMPLES = {"91_ppo_learns_to_reach": 100}  # a third is the adapter to stable-baselines3
 QUICK = ("01_reach", "04_pd_waypoints", "20_solve_ik", "33_sequence_and_new_target", "35_your_own_mpc")

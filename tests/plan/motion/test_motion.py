@@ -208,7 +208,7 @@ def test_flowing_along_a_line_of_waypoints_does_not_stop():
     assert armctl.move_through(arm, q).duration < 1.15 * straight_on
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_one_joint_hardly_slows_down_at_waypoints_on_its_way(load):
     arm = untiring(load(limb("a", '<site name="tip" pos="0.1 0 0"/>'), motors("a")))
     rng = np.random.default_rng(0)

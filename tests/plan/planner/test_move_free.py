@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from arms import HELPERS, some_of
+from arms import HELPERS
 from collidable import arm_among, placed
 
 import armctl
@@ -78,7 +78,9 @@ def test_it_starts_while_the_arm_moves_and_goes_around_the_wall(arm):
     np.testing.assert_allclose(motion(motion.duration).q, GOAL, atol=1e-12)
 
 
-@pytest.mark.parametrize("share", some_of([1.0001, 1.05, 1.3], [1.05]))
+@pytest.mark.parametrize(
+    "share", [pytest.param(1.0001, marks=pytest.mark.nightly), 1.05, pytest.param(1.3, marks=pytest.mark.nightly)]
+)
 def test_a_start_beyond_a_speed_limit_is_braked_into_it_on_the_way_around_the_wall(arm, share):
     """A joint is beyond its limit no longer than a lone joint that brakes with the limits of acceleration and jerk."""
     v = np.zeros(arm.n)

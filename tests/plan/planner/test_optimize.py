@@ -45,7 +45,11 @@ def assert_free(arm, motion):
 WEIGHTS = [{"time": 1.0}, {"time": 0.0, "torque": 1.0}, {"time": 1.0, "vibration": 1.0}, {"time": 0.0, "distance": 1.0}]
 
 
-@pytest.mark.parametrize("weights", some_of(WEIGHTS, WEIGHTS[-1:]), ids=["time", "torque", "time and vibration", "distance"])
+@pytest.mark.parametrize(
+    "weights",
+    [pytest.param(WEIGHTS[0], marks=pytest.mark.nightly), *some_of(WEIGHTS[1:], WEIGHTS[-1:])],
+    ids=["time", "torque", "time and vibration", "distance"],
+)
 def test_the_motion_costs_less_and_is_free_within_all_limits(arm, motion, weights):
     better = armctl.optimize(arm, motion, evaluations=150, **weights)
     assert better, better.reason
