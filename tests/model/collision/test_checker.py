@@ -311,3 +311,17 @@ def test_a_line_that_is_proved_free_touches_at_no_sample(arm_cell, start, end):
 @pytest.fixture(scope="module")
 def arm_cell(arm) -> tuple[armctl.Arm, CollisionChecker]:
     return arm, collision_checker(arm)
+
+
+def test_a_body_that_is_carried_goes_along_also_if_it_is_the_first_in_the_file():
+    """A ball at the end of a link: carried, it meets the post that the link misses."""
+    ball = '<body name="ball" pos="0.45 0 0.1"><freejoint/><geom type="sphere" size="0.05" mass="0.1"/></body>'
+    turn = '<joint name="a" axis="0 0 1" range="-3 3"/><geom type="capsule" fromto="0 0 0 0.38 0 0" size="0.02"/>'
+    link = f'<body name="A" pos="0 0 0.1">{turn}<site name="tip"/></body>'
+    post = '<geom name="post" type="box" size="0.02 0.02 0.2" pos="0 0.45 0.1"/>'
+    for bodies in (ball + link + post, link + ball + post):
+        arm = armctl.load(mujoco.MjSpec.from_string(mjcf(bodies, motors("a"))))
+        held = {arm.model.body("ball").id: arm.model.body("A").id}
+        turned = armctl.move_j(arm, [0.0], [1.57])
+        found = CollisionChecker(arm, None, [], held).closest_approach(turned.knots, turned.coefficients, 0.0, None)
+        assert found.bound < 0.0

@@ -159,7 +159,9 @@ def test_a_hand_without_a_shape_at_the_last_link_is_named(tmp_path):
     box = '<geom type="box" size="0.05 0.05 0.05" mass="0.5" contype="0" conaffinity="0"/>'
     hand = f'<body name="hand" pos="0 0 0.15">{box}</body>'
     path.write_text(collidable().replace('<site name="tip"', hand + '<site name="tip"'))
-    assert quietly(path).unchecked_links == ("hand",)
+    arm = quietly(path)
+    assert arm.unchecked_links == ("hand",)
+    assert "hand has no collision shape" in armctl.check_clearance(arm, armctl.move_j(arm, arm.home, arm.home + 0.1)).reason
 
 
 @pytest.mark.parametrize(("radius", "outside"), [(0.035, ()), (0.05, ("inner",))])

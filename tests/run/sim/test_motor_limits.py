@@ -114,3 +114,5 @@ def test_the_description_of_an_arm_says_which_motors_are_weaker_than_its_limits(
     assert "note: the motor of b gives 20 N m in simulations, less than its tau_max" in describe(strong)
     assert "gives 20 N m" not in describe(arm)
     assert strong.motor_torque_limits == pytest.approx([10.0, 20.0])
+    slightly = arm.with_limits(replace(arm.limits, tau_max=np.array([10.0, 20.1])))
+    assert slightly.motor_torque_limits == pytest.approx([10.0, 20.0])
