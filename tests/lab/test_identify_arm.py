@@ -18,9 +18,9 @@ from armctl.core.filtering import derivatives
 from armctl.lab.identification.fit_samples import speeds_of_torques
 from armctl.lab.identification.pseudo_inertia import from_log_cholesky, inertial_parameters, pseudo_inertia, to_log_cholesky
 from armctl.lab.identification.regressor import FrictionShape
+from armctl.model.arm.arm import with_model
 from armctl.model.arm.dynamics import Dynamics
 from armctl.model.arm.passive_forces import DryFriction
-from armctl.model.arm.pinocchio_model import build_pinocchio_model
 
 TICK = 0.002
 
@@ -40,10 +40,7 @@ def changed(arm, seed=1, coulomb=0.0):
     model.dof_damping[arm.dof_adr] *= 1 + 0.2 * rng.uniform(-1, 1, arm.n)
     model.dof_frictionloss[arm.dof_adr] += coulomb
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    body = build_pinocchio_model(
-        model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
-    )
-    return replace(arm, model=model, pinocchio_model=body)
+    return with_model(arm, model)
 
 
 def recorded(real, motion, seed=0, noise=0.1):
@@ -392,10 +389,7 @@ def light(tmp_path_factory):
     model.body_ipos[last] = [0.0, 0.0, 0.02]
     model.dof_armature[arm.dof_adr] = [0.1, 0.1, 0.0]
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    body = build_pinocchio_model(
-        model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
-    )
-    return replace(arm, model=model, pinocchio_model=body)
+    return with_model(arm, model)
 
 
 @pytest.fixture(scope="module")
