@@ -9,6 +9,9 @@ among the exceptions of the arm, which `armctl info` prints.
 from __future__ import annotations
 
 import argparse
+import json
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -16,7 +19,6 @@ import numpy as np
 from markdown_table import titled_table
 
 import armctl
-from armctl.control.margin_exceptions import margin_exceptions
 
 ROBOTS = "robot_arm_3dof,panda,fr3,ur5e,iiwa14,kinova_gen3"
 LAWS = ("pd-gravity", "computed-torque", "computed-torque-observer", "operational-space", "impedance")
@@ -36,7 +38,9 @@ def main() -> None:
         arm = armctl.load(robot)
         q = arm.limits.random(arm.limits.clamp(arm.home), args.configurations, np.random.default_rng(SEED))
         plant = armctl.Plant(timestep=args.timestep)
-        declared = {name for exception in margin_exceptions(arm) for name in exception.controllers}
+        command = [sys.executable, "-m", "armctl", "info", robot, "--json"]
+        facts = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)["result"]
+        declared = {name for exception in facts["margin_exceptions"] for name in exception["controllers"]}
         rows.append([robot, *(cell(arm, plant, law, q) + (" declared" if law in declared else "") for law in LAWS)])
     title = f"Delay margin, ms / Ms, worst of {args.configurations} configurations, control period {1e3 * args.timestep:g} ms"
     text = titled_table(title, ["robot", *LAWS], rows) + "\n"

@@ -35,7 +35,7 @@ def facts(arm: Arm) -> dict[str, Any]:
         "notes": list(arm.notes),
         "static_payload_kg": static_payload(static_payloads(arm)),
         "unknown_payload_kg": max_unknown_payload(arm),
-        "margin_exceptions": [str(exception) for exception in margin_exceptions(arm)],
+        "margin_exceptions": [{"controllers": each.controllers, "text": str(each)} for each in margin_exceptions(arm)],
         "bandwidth_rad_per_s": law.bandwidth,
         "slowest_pole_per_s": linearize(arm, law, arm.limits.clamp(arm.home)).slowest_pole,
     }
@@ -77,7 +77,7 @@ def describe(arm: Arm) -> str:
         f"default computed-torque at home: slowest pole {data['slowest_pole_per_s']:.3g} 1/s, bandwidth "
         f"{data['bandwidth_rad_per_s']:.3g} rad/s"
     )
-    return "\n".join(lines + [f"default gains, {exception}" for exception in data["margin_exceptions"]])
+    return "\n".join(lines + [f"default gains, {exception['text']}" for exception in data["margin_exceptions"]])
 
 
 def describe_end(log: Log) -> str:

@@ -370,13 +370,13 @@ def test_a_wrong_call_is_an_input_error(arm, call):
 @pytest.mark.parametrize("name", some_of(["planar", "rubbing", "six joints", "robot_arm_3dof"], ["planar", "six joints"]))
 def test_an_arm_names_the_default_gains_whose_loops_are_too_sensitive(name: str, dt: float):
     arm = arm_of(name)
-    sentences = facts(arm)["margin_exceptions"]
+    exceptions = facts(arm)["margin_exceptions"]
     linearizer = Linearizer(arm, armctl.Plant(timestep=dt))
     for law in ("pd", "pd-gravity", "impedance"):
         controller = controller_by_name(law, arm)
         loops = [linearizer.loop_at(controller, q) for q in arm.limits.random(arm.home, 30, np.random.default_rng(3))]
         peak = max(loop.coarse_margins().peak_sensitivity.max() for loop in loops)
-        named = [sentence for sentence in sentences if law in re.split(r", | and |: | at ", sentence)]
+        named = [each["text"] for each in exceptions if law in each["controllers"]]
         periods = [re.findall(r"[\d.]+", sentence.partition(" ms:")[0]) for sentence in named]
         is_named = any(law == "impedance" or f"{1e3 * dt:g}" in row for row in periods)
         assert is_named == (peak > MAX_PEAK_SENSITIVITY)

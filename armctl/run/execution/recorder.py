@@ -184,6 +184,7 @@ class Recorder:
         if not any(part.contacts for part in self._parts):
             return ()
         moving, last = _moving_bodies(arm)
+        tool = arm.last_bodies[0]
         start: dict[tuple[int, int], int] = {}
         ticks: dict[tuple[int, int], int] = {}
         offset = 0
@@ -200,7 +201,7 @@ class Recorder:
                 other=geom_owner_name(self._model, -1 - pair[1]) if pair[1] < 0 else body_name(self._model, pair[1]),
                 start=dt * start[pair],
                 duration=dt * ticks[pair],
-                on_tool=arm.last_bodies[0] in map(last.get, pair),
+                on_tool=tool in map(last.get, pair),
             )
             for pair in sorted(start, key=lambda pair: start[pair])
             if ticks[pair]
