@@ -64,13 +64,19 @@ class _RobotSpec:
     drawn: frozenset[str]  # its links that the file draws by a visual shape that can be read
 
     def resolved(self, ends: ArmEnds) -> ArmEnds:
-        """The ends of an arm whose tip can be the name of a group of the SRDF."""
-        if self.srdf is None or not isinstance(ends.tip, str) or ends.tip not in self.srdf.groups:
+        """The ends of an arm whose tips can be names of groups of the SRDF; that of a single tip says the base, too."""
+        if not isinstance(ends.tip, str):
             return ends
-        if any(element.name == ends.tip for element in (*self.spec.bodies, *self.spec.sites, *self.spec.geoms)):
-            return ends
-        base, tip = self.srdf.groups[ends.tip]
-        return replace(ends, tip=tip, base=base if ends.base is None else ends.base)
+        (base, tip), *others = (self._ends_of_group(name) for name in (ends.tip, *ends.further_tips))
+        own_base = base if ends.base is None and not others else ends.base
+        return replace(ends, tip=tip, base=own_base, further_tips=tuple(other for _, other in others))
+
+    def _ends_of_group(self, name: str) -> tuple[str | None, str]:
+        """The base and the tip of a group of the SRDF; no base and the name itself if there is no such group."""
+        groups = {} if self.srdf is None else self.srdf.groups
+        if name not in groups or any(each.name == name for each in (*self.spec.bodies, *self.spec.sites, *self.spec.geoms)):
+            return None, name
+        return groups[name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,9 +201,9 @@ def load(
     if tips is not None:
         if tip is not None:
             raise InputError("tip, tips: both are given; give tips for several tips, and tip for one")
-        if tool is not None:
-            raise InputError("tool: it is mounted at the tip of an arm with one tip; load it with tip=")
         tip, *others = _names("tips", tips)
+        if tool is not None and others:
+            raise InputError("tool: it is mounted at the tip of an arm with one tip; give one tip")
         further_tips = tuple(others)
     ends = [ArmEnds(tip, base, tip_offset, further_tips=further_tips)]
     return _loaded(robot, ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)[0]

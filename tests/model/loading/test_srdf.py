@@ -96,6 +96,14 @@ def test_a_group_names_base_and_tip(load):
     assert (arm.joint_names, arm.tip) == (("j2", "j3"), "three")
 
 
+def test_groups_name_the_tips_of_an_arm_with_several(load):
+    groups = '<group name="wrist"><chain base_link="one" tip_link="three"/></group>'
+    groups += '<group name="elbow"><chain base_link="base" tip_link="two"/></group>'
+    arm = load(PAIRS + groups, tips=["wrist", "elbow"])
+    assert arm.tips == ("three", "two")
+    assert arm.joint_names == load(PAIRS, tip="three").joint_names
+
+
 def test_an_srdf_can_be_given_by_its_path(load, tmp_path: Path):
     elsewhere = tmp_path / "deep" / "pairs.srdf"
     elsewhere.parent.mkdir()
