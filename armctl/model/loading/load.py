@@ -67,9 +67,10 @@ class _RobotSpec:
         """The ends of an arm whose tips can be names of groups of the SRDF; that of a single tip says the base, too."""
         if not isinstance(ends.tip, str):
             return ends
-        (base, tip), *others = (self._ends_of_group(name) for name in (ends.tip, *ends.further_tips))
-        own_base = base if ends.base is None and not others else ends.base
-        return replace(ends, tip=tip, base=own_base, further_tips=tuple(other for _, other in others))
+        base, tip = self._ends_of_group(ends.tip)
+        further_tips = tuple(self._ends_of_group(name)[1] for name in ends.further_tips)
+        own_base = base if ends.base is None and not further_tips else ends.base
+        return replace(ends, tip=tip, base=own_base, further_tips=further_tips)
 
     def _ends_of_group(self, name: str) -> tuple[str | None, str]:
         """The base and the tip of a group of the SRDF; no base and the name itself if there is no such group."""
