@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from armctl.core.atomic import atomic_path, file_path
-from armctl.core.errors import NotInstalledError
+from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.validation import shown
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # The palette of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers can distinguish.
@@ -54,6 +58,24 @@ def finish_figure(
         with atomic_path(path) as temporary:
             figure.savefig(temporary, metadata={"Date": None} if path.suffix == ".svg" else None)
     return path
+
+
+def finish_axes(
+    draw: Callable[[list[Axes]], None],
+    shape: tuple[int, int],
+    size: tuple[float, float],
+    path: str | os.PathLike[str] | None,
+    axes: Sequence[Axes] | None,
+) -> Path | None:
+    """Draws into a grid of axes with a common x: into those of the caller, a file, a window or a notebook."""
+    count = shape[0] * shape[1]
+    if axes is None:
+        return finish_figure(lambda figure: draw(list(figure.subplots(*shape, sharex="col", squeeze=False).flat)), size, path)
+    given = list(np.ravel(np.asarray(axes, dtype=object)))
+    if len(given) != count or not all(hasattr(each, "set_xlabel") for each in given):
+        raise InputError(f"ax: expected {count} axes of matplotlib, got {shown(axes)}")
+    draw(given)
+    return None
 
 
 def _window(draw: Callable[[Figure], None], size: tuple[float, float]) -> None:

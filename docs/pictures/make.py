@@ -83,6 +83,12 @@ def four_panels() -> None:
     armctl.Report.from_log(sim.move_to([0.3, 0.2, 0.3]).log).plot(HERE / "four_panels.png")
 
 
+def loop() -> None:
+    """The loop of an arm and PD, with a delay."""
+    arm = armctl.load("robot_arm_3dof")
+    armctl.linearize(arm, "pd", arm.home, armctl.Plant(delay=2)).plot(HERE / "loop.png")
+
+
 def pd_against_computed_torque() -> None:
     """The same motion of a UR5e under PD and under computed torque, with and without a payload that neither knows of."""
     arm = armctl.load("ur5e")
@@ -278,7 +284,7 @@ def draw(picture: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    wanted = [drag, shelf, four_panels, pd_against_computed_torque, waypoints, study, polish, page]
+    wanted = [drag, shelf, four_panels, loop, pd_against_computed_torque, waypoints, study, polish, page]
     chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
     drawn = [draw(picture) for picture in chosen]
     sys.exit(0 if all(drawn) else 1)

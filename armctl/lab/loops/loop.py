@@ -7,30 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.defaults import MAX_PEAK_SENSITIVITY
-from armctl.core.errors import InputError, NotInstalledError
-from armctl.core.plotting import COLORS, finish_figure
-from armctl.core.validation import Array, IntArray, integer, number, vector
-from armctl.lab.loops.stability import (
-    CoarseMargins,
-    LoopMargins,
-    coarse_grid,
-    coarse_margins,
-    coarse_margins_near,
-    loop_frequencies,
-    loop_margins,
-    robustness,
-)
+from armctl.core.plotting import finish_figure
+from armctl.core.validation import Array, IntArray, integer, number
+from armctl.lab.loops.linear_loop import LoopAnalysis, by_damping
+from armctl.lab.loops.loop_figures import LOOP_SIZE_INCHES, draw_loop
+from armctl.lab.loops.loop_responses import StepResponse
+from armctl.lab.loops.stability import CoarseMargins, coarse_grid, coarse_margins, coarse_margins_near
 from armctl.lab.loops.state_space import ComplexArray, DelayedCascade, StateSpace, delay_transfer
-
-if TYPE_CHECKING:
-    import control
-    from matplotlib.figure import Figure
 
 MAX_DELAY_TICKS = 200
 # A mode counts if a step of torque on a joint makes that joint ring with this share of its displacement: what rings less, as
@@ -41,7 +29,6 @@ _STEP_LEVELS = 12  # of the step response, whose samples lie twice as far apart 
 _STEPS_PER_LEVEL = 16
 _MAX_DOUBLINGS = 60  # of the time over which noise is added up
 _LEAST_SHARE = 1e-14  # of a variance; less is not added any more
-_BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
 
 
 class Mode(NamedTuple):
@@ -55,7 +42,7 @@ class Mode(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class Loop(LoopAnalysis):
     """The loop of an arm and a controller around a configuration at rest, broken at the input of the motors.
 
     A, B, C and D are the loop transfer function L(z) = C (z - A)^-1 B + D from the torque of the motors to minus the torque of
@@ -92,6 +79,16 @@ class Loop:
         return len(self.joint_names)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The joints."""
+        return self.joint_names
+
+    @property
+    def title(self) -> str:
+        """Arm, controller and plant, in words."""
+        return f"{self.robot}, {self.controller}, {self.plant}"
+
+    @property
     def A(self) -> Array:
         """(k, k), the matrix of the state.
 
@@ -121,7 +118,7 @@ class Loop:
         return np.concatenate([np.zeros(self.delay), self._lag])
 
     @cached_property
-    def system(self) -> StateSpace:
+    def system(self) -> StateSpace:  # type: ignore[override]
         """The loop transfer function as one object: `A`, `B`, `C` and `D`."""
         n = self.n
         moving = len(self._arm.A)
@@ -147,45 +144,6 @@ class Loop:
         law = replace(self._law, C=-self._law.C, D=-self._law.D)
         return DelayedCascade(A=A, B=B, C=output, D=np.zeros((n, n)), parts=(self._arm, law), weights=weights)
 
-    @cached_property
-    def _margins(self) -> LoopMargins:
-        return loop_margins(self.system, self.dt)
-
-    def margins(self) -> LoopMargins:
-        """Delay, gain (lower and upper) and phase margin, and the peak sensitivity.
-
-        Returns:
-            The margins; not ok if the closed loop is unstable.
-        """
-        return self._margins
-
-    def robustness(self) -> LoopMargins:
-        """The margins without the gain margins, which are NaN here unless the closed loop is unstable."""
-        return robustness(self.system, self.dt)
-
-    @cached_property
-    def _poles(self) -> ComplexArray:
-        """Of the closed loop."""
-        return np.linalg.eigvals(self.A - self.B @ self.C).astype(np.complex128)
-
-    @property
-    def slowest_pole(self) -> float:
-        """1/s, the rate with which the slowest error of the closed loop decays; negative if one grows."""
-        return -float(np.log(max(np.abs(self._poles).max(), np.finfo(float).tiny))) / self.dt
-
-    @property
-    def is_stable(self) -> bool:
-        """Whether the closed loop is stable."""
-        return bool(np.abs(self._poles).max() < 1.0)
-
-    def modes(self) -> Array:
-        """All modes of the closed loop that oscillate, also those that no joint shows.
-
-        Returns:
-            (k, 2) frequency, rad/s, with its damping, and damping ratio of each; the least damped one first.
-        """
-        return _by_damping(self._poles, self.dt)
-
     def vibrations(self) -> Array:
         """Those modes of the closed loop that a load on a joint excites and that move the joint.
 
@@ -208,7 +166,7 @@ class Loop:
         norms = (left * right).sum(axis=0) * (1 - poles[is_mode])
         ringing = np.abs((position @ right).T * (push.T @ left).T / norms[:, None])
         share = (2 * ringing / _largest_displacement(closed, push, position)).max(axis=1)
-        return _by_damping(poles[is_mode][share >= _MIN_RINGING_SHARE], self.dt)
+        return by_damping(poles[is_mode][share >= _MIN_RINGING_SHARE], self.dt)
 
     def least_damped(self) -> Mode:
         """The first one of `vibrations`; its damping ratio is infinite if there is none, and 0 if the loop is unstable."""
@@ -270,6 +228,24 @@ class Loop:
         variance = np.array([1.5, -2.0, 0.5]) @ [lag.diagonal() for lag in of_lags]
         return np.sqrt(np.maximum(variance, 0.0))
 
+    def load_response(self, duration: float | None = None) -> StepResponse:
+        """The displacement of each joint after a step of torque on its link: how a load moves it, and whether it returns.
+
+        Args:
+            duration: s; by default six time constants of the slowest pole, at most 20 000 control periods.
+
+        Returns:
+            The response in rad/(N m), of a slide joint in m/N.
+
+        Raises:
+            InputError: The duration is not positive, or longer than 20 000 control periods.
+        """
+        size = len(self.A)
+        push = np.pad(self._push, ((0, size - len(self._push)), (0, 0)))
+        position = np.pad(self._position, ((0, 0), (0, size - self._position.shape[1])))
+        closed = StateSpace(A=self.A - self.B @ self.C, B=push, C=position, D=np.zeros((self.n, self.n)))
+        return self._step(closed, duration, "displacement after a step of load", "rad/(N m)")
+
     def coarse_margins(self) -> CoarseMargins:
         """The margins of single eigenvalues and joints, accurate to 1 % in a fraction of the time."""
         return coarse_margins_with(coarse_plant(self), self)
@@ -297,34 +273,6 @@ class Loop:
             InputError: The delay is negative, above 200 ticks or no integer.
         """
         return replace(self, delay=integer("ticks", ticks, 0, MAX_DELAY_TICKS))
-
-    def transfer(self, w: ArrayLike) -> ComplexArray:
-        """The loop transfer function L.
-
-        Args:
-            w: (k,) frequencies, rad/s, above 0 and up to pi / dt.
-
-        Returns:
-            (k, n, n) complex.
-
-        Raises:
-            InputError: A frequency is outside its bounds or not finite.
-        """
-        return self.system.transfer(self._z(w))
-
-    def sensitivity(self, w: ArrayLike) -> ComplexArray:
-        """The sensitivity S = (1 + L)^-1: how much of a disturbance torque remains at the motors.
-
-        Args:
-            w: (k,) frequencies, rad/s, above 0 and up to pi / dt.
-
-        Returns:
-            (k, n, n) complex. The magnitude of the diagonal is below 1 where the controller suppresses disturbances.
-
-        Raises:
-            InputError: A frequency is outside its bounds or not finite.
-        """
-        return np.asarray(np.linalg.inv(np.eye(self.n) + self.transfer(w)), dtype=np.complex128)
 
     def compliance(self, w: ArrayLike) -> Array:
         """The dynamic compliance of the tip: its displacement per force on it, in the worst direction.
@@ -365,7 +313,7 @@ class Loop:
         return np.asarray(closed, dtype=np.complex128)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
-        """Draws the Nyquist curves of the joints, their sensitivities and the compliance of the tip.
+        """Draws loop gain, phase, Nyquist curve, step response and sensitivity of each joint, and the compliance of the tip.
 
         Args:
             path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window
@@ -376,36 +324,7 @@ class Loop:
             ArmctlError: The file cannot be written.
             NotInstalledError: There is no screen for a window.
         """
-        return finish_figure(lambda figure: draw_loop(figure, self), (13, 4.6), path)
-
-    def to_control(self) -> control.StateSpace:
-        """The loop transfer function for python-control, for root loci, step responses and the design of controllers.
-
-        Returns:
-            A discrete `control.StateSpace` with n inputs and n outputs.
-
-        Raises:
-            NotInstalledError: python-control is not installed.
-        """
-        try:
-            import control
-        except ImportError:
-            raise NotInstalledError.from_extra("to_control needs python-control", "design") from None
-        names: dict[str, Any] = {"inputs": list(self.joint_names), "outputs": list(self.joint_names)}
-        return control.StateSpace(self.A, self.B, self.C, self.D, self.dt, **names)
-
-    def _z(self, w: ArrayLike) -> ComplexArray:
-        w = vector("w", w)
-        if len(w) and not (w.min() > 0.0 and w.max() <= np.pi / self.dt * (1 + 1e-9)):
-            raise InputError(f"w: expected frequencies in (0, {np.pi / self.dt:g}] rad/s, got {w.min():g} to {w.max():g}")
-        return np.exp(1j * w * self.dt)
-
-
-def _by_damping(poles: ComplexArray, dt: float) -> Array:
-    """(k, 2) frequency and damping ratio of the poles with a positive imaginary part, the least damped one first."""
-    rates = np.log(poles[poles.imag > 0.0]) / dt
-    modes = np.column_stack([rates.imag, -rates.real / np.abs(rates)])
-    return modes[modes[:, 1].argsort()]
+        return finish_figure(lambda figure: draw_loop(figure, self), LOOP_SIZE_INCHES, path)
 
 
 def _largest_displacement(A: Array, push: Array, position: Array) -> Array:
@@ -434,34 +353,6 @@ def _covariance(A: Array, Q: Array) -> Array:
             break
         A = A @ A
     return covariance
-
-
-def draw_loop(figure: Figure, loop: Loop) -> None:
-    """Three panels: Nyquist curve and sensitivity of each joint with the other joints closed, and the tip's compliance."""
-    nyquist, sensitivity, compliance = figure.subplots(1, 3)
-    frequencies = loop_frequencies(loop.system, loop.dt)
-    hertz = frequencies / (2 * np.pi)
-    diagonal = np.diagonal(loop.sensitivity(frequencies), axis1=1, axis2=2)
-    for i, name in enumerate(loop.joint_names):
-        color = COLORS[i % len(COLORS)]
-        curve = 1 / diagonal[:, i] - 1  # the loop of one joint while the others are closed
-        nyquist.plot(curve.real, curve.imag, color=color)
-        sensitivity.loglog(hertz, np.abs(diagonal[:, i]), color=color, label=name)
-    angle = np.linspace(0.0, 2 * np.pi, 200)
-    nyquist.plot(np.cos(angle) / MAX_PEAK_SENSITIVITY - 1, np.sin(angle) / MAX_PEAK_SENSITIVITY, **_BOUND)
-    nyquist.plot(-1.0, 0.0, marker="+", color="black")
-    nyquist.set_xlim(-3.0, 1.0)
-    nyquist.set_ylim(-2.0, 2.0)
-    nyquist.set_aspect("equal")
-    nyquist.set_title(f"Nyquist, the other joints closed (circle: Ms = {MAX_PEAK_SENSITIVITY:g})")
-    sensitivity.axhline(1.0, **_BOUND)
-    sensitivity.set_title("sensitivity |S| of each joint")
-    sensitivity.set_xlabel("frequency, Hz")
-    compliance.loglog(hertz, 1e6 * loop.compliance(frequencies), color=COLORS[0])
-    compliance.set_title("compliance of the tip, worst direction, um/N")
-    compliance.set_xlabel("frequency, Hz")
-    figure.legend(loc="outside lower center", ncols=min(loop.n, 8))
-    figure.suptitle(f"{loop.robot}, {loop.controller}, {loop.plant}", fontweight="bold", x=0.01, ha="left")
 
 
 def coarse_margins_with(plant: ComplexArray, loop: Loop) -> CoarseMargins:

@@ -8,7 +8,7 @@ from armctl.core.atomic import write_text
 from armctl.core.plotting import figure_svg
 from armctl.core.tables import Table
 from armctl.lab.loops.linearization import linearize
-from armctl.lab.loops.loop import draw_loop
+from armctl.lab.loops.loop_figures import LOOP_SIZE_INCHES, draw_loop
 from armctl.lab.loops.margins import Margins
 from armctl.model.arm.arm import Arm
 from armctl.report import html_page
@@ -40,7 +40,7 @@ def write_margins(arm: Arm, found: Sequence[Margins], plants: Sequence[Plant], f
     elements = []
     for each in found:
         loop = linearize(arm, each.controller, each.delay.q, by_name[each.delay.plant])
-        svg = figure_svg(lambda figure, loop=loop: draw_loop(figure, loop), (13, 4.6))
+        svg = figure_svg(lambda figure, loop=loop: draw_loop(figure, loop), LOOP_SIZE_INCHES)
         elements += [html_page.heading(each.controller), svg]
     worst = f"The worst of {found[0].loops} loops for each controller."
     below = "Below, each controller at the configuration with its least delay margin."

@@ -63,6 +63,32 @@ class LoopMargins(Verdict):
         return lower if lower * self.upper_gain_margin > 1.0 else self.upper_gain_margin
 
 
+class GainCrossover(NamedTuple):
+    """A frequency at which an eigenvalue of a loop transfer function has the magnitude 1.
+
+    Attributes:
+        frequency: rad/s.
+        phase_margin: rad, above -pi and up to pi: the lag, or if it is negative the lead, that turns the eigenvalue to -1.
+        delay_margin: s, the smallest additional delay that does so.
+    """
+
+    frequency: float
+    phase_margin: float
+    delay_margin: float
+
+
+class PhaseCrossover(NamedTuple):
+    """A frequency at which an eigenvalue of a loop transfer function is real and negative.
+
+    Attributes:
+        frequency: rad/s; 0 at rest, and pi / dt where the loop alternates at every tick.
+        gain_margin: The factor on all torques that makes the eigenvalue -1.
+    """
+
+    frequency: float
+    gain_margin: float
+
+
 def frequency_grid(dt: float, points: int = _GRID_POINTS) -> Array:
     """(points,) rad/s, geometric, up to the Nyquist frequency of a control period dt in s."""
     return np.geomspace(_MIN_FREQUENCY, (1 - 1e-6) * pi / dt, points)
@@ -74,7 +100,7 @@ def loop_frequencies(loop: StateSpace, dt: float) -> Array:
 
 
 def loop_margins(loop: StateSpace, dt: float) -> LoopMargins:
-    """The margins of a strictly proper loop transfer function L with negative feedback, and a control period dt in s.
+    """The margins of a loop transfer function L with negative feedback, and a control period dt in s.
 
     The loop is on the verge of instability where an eigenvalue of L(jw) is -1; see MacFarlane and Postlethwaite, "The
     generalized Nyquist stability criterion and multivariable root loci" (1977).
@@ -85,6 +111,26 @@ def loop_margins(loop: StateSpace, dt: float) -> LoopMargins:
 def robustness(loop: StateSpace, dt: float) -> LoopMargins:
     """As `loop_margins` without the gain margins, which are NaN here unless the closed loop is unstable."""
     return _margins(loop, dt, False)
+
+
+def gain_crossovers(loop: StateSpace, dt: float) -> list[GainCrossover]:
+    """All frequencies, ascending, at which an eigenvalue of a loop transfer function has the magnitude 1; stable or not."""
+    frequencies, eigenvalues = _eigenvalue_curves(loop, dt)
+    found = sorted(_unit_crossings(loop, dt, frequencies, eigenvalues), key=lambda each: each.frequency)
+    return [GainCrossover(each.frequency, pi - (pi - each.lag) % (2 * pi), each.lag / each.frequency) for each in found]
+
+
+def phase_crossovers(loop: StateSpace, dt: float) -> list[PhaseCrossover]:
+    """All frequencies, ascending, at which an eigenvalue of a loop transfer function is real and negative; stable or not.
+
+    Factors below 0.01 and above 100 are left out.
+    """
+    return sorted(_phase_crossovers(loop, dt, *_eigenvalue_curves(loop, dt)))
+
+
+def _eigenvalue_curves(loop: StateSpace, dt: float) -> tuple[Array, ComplexArray]:
+    frequencies = loop_frequencies(loop, dt)
+    return frequencies, _complex_eigenvalues(loop.transfer(np.exp(1j * frequencies * dt)))
 
 
 def _margins(loop: StateSpace, dt: float, has_gain: bool) -> LoopMargins:
@@ -108,7 +154,7 @@ def _margins(loop: StateSpace, dt: float, has_gain: bool) -> LoopMargins:
     delay_margin = inf
     phase_margin = inf
     for crossing in _unit_crossings(loop, dt, frequencies, eigenvalues):
-        lag = (np.angle(crossing.eigenvalue) + pi) % (2 * pi)
+        lag = crossing.lag
         delay_margin = min(delay_margin, lag / crossing.frequency)
         phase_margin = min(phase_margin, lag, 2 * pi - lag)
     lower, upper = _gain_margins(loop, dt, frequencies, eigenvalues) if has_gain else (nan, nan)
@@ -244,6 +290,11 @@ class _Crossing:
     frequency: float
     eigenvalue: complex
 
+    @property
+    def lag(self) -> float:
+        """rad, from 0 to 2 pi, that turns the eigenvalue to -1."""
+        return float((np.angle(self.eigenvalue) + pi) % (2 * pi))
+
 
 def _unit_crossings(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: ComplexArray) -> list[_Crossing]:
     """All crossings of the unit circle. Sorted magnitudes are continuous, so eigenvalues need not be told apart on the way."""
@@ -277,30 +328,39 @@ def _gain_margins(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: 
 
     Crossings at frequencies of zero and pi / dt, where the loop is real, belong to them.
     """
+    factors = np.array([each.gain_margin for each in _phase_crossovers(loop, dt, frequencies, eigenvalues)])
+    return float(factors[factors < 1.0].max(initial=0.0)), float(factors[factors > 1.0].min(initial=inf))
+
+
+def _phase_crossovers(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: ComplexArray) -> list[PhaseCrossover]:
     ends = loop.transfer(np.array([-1.0 + 0.0j]))
     found = [_complex_eigenvalues(ends).ravel()]
+    places = [np.full(len(found[0]), pi / dt)]
     at_rest = _at_rest(loop)
     if at_rest is not None:
         found.append(_complex_eigenvalues(at_rest))
-    found.append(_real_crossings(loop, dt, frequencies, eigenvalues))
+        places.append(np.zeros(len(found[1])))
+    between, values = _real_crossings(loop, dt, frequencies, eigenvalues)
+    found.append(values)
+    places.append(between)
     every = np.concatenate(found)
     is_real = (every.real < 0.0) & (np.abs(every.imag) < _REAL * np.abs(every.real))
     factors = -1 / every.real[is_real]
-    lower = float(factors[factors < 1.0].max(initial=0.0))
-    upper = float(factors[factors > 1.0].min(initial=inf))
-    return lower if lower >= 1 / _MAX_GAIN else 0.0, upper if upper <= _MAX_GAIN else inf
+    where = np.concatenate(places)[is_real]
+    crossovers = [PhaseCrossover(float(w), float(factor)) for w, factor in zip(where, factors, strict=True)]
+    return [each for each in crossovers if 1 / _MAX_GAIN <= each.gain_margin <= _MAX_GAIN]
 
 
 def _at_rest(loop: StateSpace) -> Array | None:
     """(n, n) the loop transfer function at a frequency of zero; None if it integrates."""
     try:
-        return loop.C @ np.linalg.solve(np.eye(len(loop.A)) - loop.A, loop.B)
+        return loop.C @ np.linalg.solve(np.eye(len(loop.A)) - loop.A, loop.B) + loop.D
     except np.linalg.LinAlgError:
         return None
 
 
-def _real_crossings(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: ComplexArray) -> ComplexArray:
-    """(k,) the eigenvalues of the loop where they cross the negative real axis within the largest gain."""
+def _real_crossings(loop: StateSpace, dt: float, frequencies: Array, eigenvalues: ComplexArray) -> tuple[Array, ComplexArray]:
+    """(k,) frequencies at which eigenvalues of the loop cross the negative real axis within the largest gain, and these."""
     later = _followed(eigenvalues)
     start = eigenvalues[:-1]
     is_left = (start.real < 0.0) | (later.real < 0.0)
@@ -314,6 +374,7 @@ def _real_crossings(loop: StateSpace, dt: float, frequencies: Array, eigenvalues
     at_high = later[intervals, columns[kept]]
     weight_low = np.sin(np.angle(at_low))
     weight_high = np.sin(np.angle(at_high))
+    middle = low
     middle_value = at_low
     for _ in range(_SECANT_STEPS if len(intervals) else 0):  # as in `_unit_crossings`
         share = weight_low / (weight_low - weight_high)
@@ -330,7 +391,7 @@ def _real_crossings(loop: StateSpace, dt: float, frequencies: Array, eigenvalues
         high = np.where(is_low, high, middle)
         at_low = np.where(is_low, middle_value, at_low)
         at_high = np.where(is_low, at_high, middle_value)
-    return np.asarray(middle_value, dtype=np.complex128)
+    return np.exp(middle), np.asarray(middle_value, dtype=np.complex128)
 
 
 def _followed(eigenvalues: ComplexArray) -> ComplexArray:
@@ -349,7 +410,8 @@ def _followed(eigenvalues: ComplexArray) -> ComplexArray:
 
 
 def _closed_poles(loop: StateSpace) -> ComplexArray:
-    return _complex_eigenvalues(loop.A - loop.B @ loop.C)
+    C = np.linalg.solve(np.eye(len(loop.D)) + loop.D, loop.C) if loop.D.any() else loop.C
+    return _complex_eigenvalues(loop.A - loop.B @ C)
 
 
 def _complex_eigenvalues(matrices: Array | ComplexArray) -> ComplexArray:
