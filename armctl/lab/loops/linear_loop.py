@@ -310,9 +310,16 @@ class LinearLoop(LoopAnalysis):
             )
         if known == 0.0 or (type(system).__module__.startswith("scipy.signal") and "Continuous" in type(system).__name__):
             raise InputError(f"system: it is continuous: {shown(system)}; sample it first, as by control.sample_system")
-        A, B, C, D = (np.atleast_2d(np.asarray(getattr(state_space, name), dtype=float)) for name in ("A", "B", "C", "D"))
-        size = state_space.A.shape[0]
-        return cls(A=A.reshape(size, size), B=B.reshape(size, -1), C=C.reshape(-1, size), D=D, dt=float(dt or known or 0.0))
+        given = {name: np.asarray(getattr(state_space, name), dtype=float) for name in ("A", "B", "C", "D")}
+        size = len(given["A"])
+        outputs, inputs = np.atleast_2d(given["D"]).shape
+        return cls(
+            A=given["A"].reshape(size, size),
+            B=given["B"].reshape(size, inputs),
+            C=given["C"].reshape(outputs, size),
+            D=given["D"].reshape(outputs, inputs),
+            dt=float(dt or known or 0.0),
+        )
 
     @property
     def n(self) -> int:

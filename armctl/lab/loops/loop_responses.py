@@ -227,7 +227,7 @@ class DiskMargin(NamedTuple):
 
     @property
     def phase(self) -> float:
-        """rad by which the phase may vary, if the gain stays."""
+        """By how much the phase may vary, rad, if the gain stays."""
         return 2.0 * math.atan(self.radius / 2.0)
 
 
