@@ -47,6 +47,9 @@ from .core.pose import Pose as Pose
 from .core.result import GripResult as GripResult
 from .core.result import MoveResult as MoveResult
 from .core.target import Target as Target
+from .core.tip_targets import STAY as STAY
+from .core.tip_targets import LookAt as LookAt
+from .core.tip_targets import RelativeTo as RelativeTo
 from .core.trajectory import Setpoint as Setpoint
 from .core.trajectory import Trajectory as Trajectory
 from .envs import jax as jax

@@ -1229,3 +1229,92 @@ class TickLoop:
 
         How they ended is written into `end`: an exception of a law in Python, or an interrupt, which raises when the call returns, would lose a result. `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
         """
+
+class StepEnd(enum.IntEnum):
+    """How a step ended."""
+
+    SOLVED = 0
+
+    HELD_BACK = 1
+
+class TreeSearch:
+    """What a search found."""
+
+    @property
+    def solved(self) -> bool:
+        """Whether q is a solution."""
+
+    @property
+    def starts(self) -> int:
+        """How many starts were used."""
+
+    @property
+    def steps(self) -> int:
+        """Steps over all starts."""
+
+class TreeIk:
+    """
+    Inverse kinematics of a tree with T tasks, with scratch memory: use an object in one thread at a time.
+
+    Targets (T, 12) are rotations row by row and positions, m. Results are written into the last arguments.
+    """
+
+    def __init__(
+        self,
+        model: ArmModel,
+        *,
+        joints: numpy.ndarray,
+        unit: numpy.ndarray,
+        reference_joints: numpy.ndarray,
+        constraints: numpy.ndarray,
+        points: numpy.ndarray,
+        exact: numpy.ndarray,
+        placements: numpy.ndarray,
+        reference_placements: numpy.ndarray,
+        fixed: numpy.ndarray,
+        reach: float,
+        q_min: numpy.ndarray,
+        q_max: numpy.ndarray,
+        v_max: numpy.ndarray,
+        a_max: numpy.ndarray,
+        polygon: numpy.ndarray,
+    ) -> None:
+        """
+        A tree from arrays for its n unknowns, its tasks and a polygon; armctl/cpp/bindings/tree_ik.cpp explains them.
+        """
+
+    def step(
+        self,
+        targets: numpy.ndarray,
+        q: numpy.ndarray,
+        v_before: numpy.ndarray,
+        dt: float,
+        posture: numpy.ndarray,
+        posture_gain: float,
+        v: numpy.ndarray,
+    ) -> StepEnd:
+        """
+        Fills v (n,) with the speeds that bring the frames nearer to the targets in dt, after v_before (n,).
+        """
+
+    def search(
+        self,
+        targets: numpy.ndarray,
+        position_tolerance: float,
+        orientation_tolerance: float,
+        first: int,
+        last: int,
+        seed: int,
+        q: numpy.ndarray,
+    ) -> TreeSearch:
+        """
+        Searches from q (n,), then from random starts, and fills q with a solution, or with the best approximation.
+        """
+
+    def errors(self, targets: numpy.ndarray, q: numpy.ndarray, errors: numpy.ndarray) -> float:
+        """
+        Fills errors (T, 2), m and rad, at q (n,). Returns by how much the center of mass is outside the polygon, m.
+        """
+
+    def frames(self, q: numpy.ndarray, frames: numpy.ndarray) -> None:
+        """Fills frames (T, 12) with the poses of the tasks' frames at q (n,)."""

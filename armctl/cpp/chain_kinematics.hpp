@@ -34,6 +34,20 @@ inline PoseError residual(Constraint constraint, const Pose& target, const Pose&
     return {away, 2.0 * std::asin(std::min(1.0, std::sqrt(dot(chord, chord) / 4.0)))};
 }
 
+// The rotation vector from a tip to its goal; with a free axis the shortest one that aligns the two axes.
+inline Vec3 rotation_error(Constraint constraint, const Rotation& tip, const Rotation& goal) {
+    constexpr double min_sine = 1e-9;  // below it a rotation's axis is lost to rounding
+    if (constraint == Constraint::pose) { return rotation_vector(tip, goal); }
+    const int free = free_axis(constraint);
+    const Vec3 wanted = axis_of(goal, free);
+    const Vec3 axis = cross(axis_of(tip, free), wanted);
+    const double cos = dot(axis_of(tip, free), wanted);
+    const double sin = norm(axis);
+    if (sin > min_sine) { return (std::atan2(sin, cos) / sin) * axis; }
+    // Half a turn, about any axis across the free one.
+    return cos >= 0.0 ? Vec3{} : std::numbers::pi * axis_of(tip, (free + 1) % 3);
+}
+
 // The joint of a chain in space.
 struct JointLine {
     Vec3 origin;

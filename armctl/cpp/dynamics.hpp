@@ -135,21 +135,21 @@ public:
     // The pose of the tip in the world, after `locate`.
     Pose tip() const { return links_[model_->chain_length - 1].T_world_joint * model_->T_last_tip; }
 
+    // The frame of a joint in the world, after `locate`; that of joint -1 is the world's.
+    Pose joint_frame(int joint) const { return joint < 0 ? Pose{} : links_[static_cast<size_t>(joint)].T_world_joint; }
+
     // The (6, n) Jacobian of the tip, linear first, world axes, after `locate`; valid until the next call.
     Matrix tip_jacobian() {
-        const Vec3 p = tip().translation;
         std::ranges::fill(J_.numbers(), 0.0);
-        for (size_t j = 0; j < model_->chain_length; ++j) {
-            const Pose& T = links_[j].T_world_joint;
-            const Vec3 z = T.rotation.z;
-            const std::array<double, 6> twist = numbers(model_->joints[j].slides ? Twist{z, {}} : Twist{cross(z, p - T.translation), z});
-            for (size_t i = 0; i < J_.columns(); ++i) {
-                const double ratio = model_->is_plain ? (i == j ? 1.0 : 0.0) : model_->ratio(j, i);
-                if (ratio == 0.0) { continue; }
-                for (size_t row = 0; row < 6; ++row) { J_(row, i) += ratio * twist[row]; }
-            }
-        }
+        for (size_t j = 0; j < model_->chain_length; ++j) { add_twist(j, tip().translation, 1.0, J_); }
         return J_;
+    }
+
+    // Adds `sign` times the Jacobian (6, n) of a point in the world that a joint carries, after `locate`.
+    void add_jacobian(int joint, Vec3 point, double sign, MatrixResult J) const {
+        for (; joint >= 0; joint = model_->joints[static_cast<size_t>(joint)].parent) {
+            add_twist(static_cast<size_t>(joint), point, sign, J);
+        }
     }
 
     // J(q)^T wrench, (n,) N m: what a wrench (6,) on the tip does to the joints. Places and locates the joints.
@@ -195,6 +195,18 @@ private:
         double torque;
         CompositeInertia composite;
     };
+
+    // Adds `sign` times the twists of a point in the world which a joint causes, to a Jacobian (6, n).
+    void add_twist(size_t j, Vec3 point, double sign, MatrixResult J) const {
+        const Pose& T = links_[j].T_world_joint;
+        const Vec3 z = sign * T.rotation.z;
+        const std::array<double, 6> twist = numbers(model_->joints[j].slides ? Twist{z, {}} : Twist{cross(z, point - T.translation), z});
+        for (size_t i = 0; i < J.columns; ++i) {
+            const double ratio = model_->is_plain ? (i == j ? 1.0 : 0.0) : model_->ratio(j, i);
+            if (ratio == 0.0) { continue; }
+            for (size_t row = 0; row < 6; ++row) { J(row, i) += ratio * twist[row]; }
+        }
+    }
 
     // Places the joints where they are in the middle of a continuous control period, with velocities there.
     void place_in_middle(Vector q, Vector v, Vector a) {

@@ -51,7 +51,7 @@ public:
         const Pose& tip = kinematics_.tip();
         const bool is_oriented = goal.constraint != Constraint::position;
         error_.linear = goal.pose.translation - tip.translation;
-        error_.angular = is_oriented ? rotation_error(goal) : Vec3{};
+        error_.angular = is_oriented ? rotation_error(goal.constraint, tip.rotation, goal.pose.rotation) : Vec3{};
         const PoseError error{norm(error_.linear), norm(error_.angular)};
         const double weight = is_oriented ? rotation_weight / (1.0 + position_priority * std::min(1.0, error.position)) : 0.0;
         error_.angular = weight * error_.angular;
@@ -145,7 +145,6 @@ public:
     void take_best(Result q) const { copy(best_, q); }
 
 private:
-    static constexpr double MIN_SINE = 1e-9;  // below it a rotation's axis is lost to rounding
     static constexpr int ACTIVE_SET_PASSES = 3;
     static constexpr double MAX_STEP = 1.0;  // rad, or reaches for a slide joint
     // A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
@@ -167,20 +166,6 @@ private:
         for (size_t i = 0; i < n_; ++i) {
             for (size_t j = 0; j <= i; ++j) { normal_(i, j) = dot(J[i], J[j]); }
         }
-    }
-
-    // The rotation vector from the tip to the goal; with a free axis the shortest one that aligns the two axes.
-    Vec3 rotation_error(const Goal& goal) const {
-        const Rotation& tip = kinematics_.tip().rotation;
-        if (goal.constraint == Constraint::pose) { return rotation_vector(tip, goal.pose.rotation); }
-        const int free = free_axis(goal.constraint);
-        const Vec3 wanted = axis_of(goal.pose.rotation, free);
-        const Vec3 axis = cross(axis_of(tip, free), wanted);
-        const double cos = dot(axis_of(tip, free), wanted);
-        const double sin = norm(axis);
-        if (sin > MIN_SINE) { return (std::atan2(sin, cos) / sin) * axis; }
-        // Half a turn, about any axis across the free one.
-        return cos >= 0.0 ? Vec3{} : std::numbers::pi * axis_of(tip, (free + 1) % 3);
     }
 
     // Solves (J^T J + damping I) step = gradient for the unknowns not at a bound; the others keep their step.

@@ -124,6 +124,9 @@ struct Pose {
     }
 };
 
+// A pose from twelve numbers of the caller: the rotation row by row, and the position.
+inline Pose pose_of(Vector numbers) { return {Rotation::from_rows(numbers.first(9)), vec3(numbers.subspan(9))}; }
+
 // A velocity of a rigid body, or a column of a Jacobian: linear part first.
 struct Twist {
     Vec3 linear;

@@ -62,9 +62,6 @@ struct IkAnswer : SearchOutcome {
     int branch;
 };
 
-// From twelve numbers: the rotation row by row, and the position.
-Pose pose_of(Vector numbers) { return {Rotation::from_rows(numbers.first(9)), vec3(numbers.subspan(9))}; }
-
 Target target_of(const In& numbers, Constraint constraint, double position_tolerance, double orientation_tolerance) {
     return {pose_of(numbers.vector(12, "target")), constraint, {position_tolerance, orientation_tolerance}};
 }

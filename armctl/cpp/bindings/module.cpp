@@ -42,4 +42,5 @@ NB_MODULE(_core, module) {
     armctl::bind_motion(module);
     armctl::bind_planning(module);
     armctl::bind_tick_loop(module);
+    armctl::bind_tree_ik(module);
 }

@@ -13,5 +13,6 @@ void bind_laws(nanobind::module_& module);
 void bind_motion(nanobind::module_& module);
 void bind_planning(nanobind::module_& module);
 void bind_tick_loop(nanobind::module_& module);
+void bind_tree_ik(nanobind::module_& module);
 
 }  // namespace armctl

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from armctl.core.result import Verdict
 from armctl.core.units import length_text
@@ -31,6 +32,8 @@ class IkResult(Verdict):
         branch: The branch of the configuration `q`, such as "shoulder+ elbow- wrist+": the signs of the factors of
             the Jacobian's determinant, which change only at a singularity, where they are "0". None for an arm without a
             closed form.
+        tip_errors: Of targets by tip, the position error, m, and the orientation error, rad, of each of them; then the two
+            errors above are the largest ones. Empty for a single target.
     """
 
     ok: bool
@@ -41,6 +44,7 @@ class IkResult(Verdict):
     iterations: int
     starts: int
     branch: str | None = None
+    tip_errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if self.ok:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from armctl._core import Constraint
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
+from armctl.core.tip_targets import TipTargets
 from armctl.core.validation import Array, flag, frozen
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import checkable
@@ -41,7 +42,7 @@ class IkCandidate(NamedTuple):
 
 def solve_ik(
     arm: Arm,
-    target: TargetLike,
+    target: TargetLike | TipTargets,
     q0: ArrayLike | None = None,
     *,
     position_tolerance: float = 1e-5,
@@ -50,13 +51,17 @@ def solve_ik(
     nearest: bool = False,
     avoid: bool = False,
     seed: int = 0,
+    center_of_mass_within: ArrayLike | None = None,
 ) -> IkResult:
-    """The configuration that brings the tip to a target, inside the joint limits.
+    """The configuration that brings the tip to a target, or several tips to theirs, inside the joint limits.
 
     The same call gives the same answer on any machine, because steps and starts are counted and nothing depends on a clock.
 
     Args:
-        target: A Pose, (3,) m for position only, or a Target, whose own tolerances are not used here.
+        target: A Pose, (3,) m for position only, or a Target, whose own tolerances are not used here. Of several tips a dict
+            of such targets by the names of tips; a target can also be `armctl.STAY`, `RelativeTo` or `LookAt`. Tips without a
+            target are free. Of targets out of reach, tips that stay or are relative hold, and the sum of the other squared
+            errors becomes least.
         q0: (n,) rad (m for a slide joint), where the search starts; the solution is near it if possible. By default the arm's
             home.
         position_tolerance: m.
@@ -65,6 +70,8 @@ def solve_ik(
         nearest: Whether to take the solution nearest to q0 of all that `solve_ik_all` finds; with surplus joints, of a sample.
         avoid: Whether a solution must be free of contact of the arm with itself and with the scene. Everything
             outside the chain is at home.
+        center_of_mass_within: (K, 2) m, the corners of a convex polygon on the ground above which the robot's center of mass is
+            kept, with targets by tip.
 
     Returns:
         The result. If `ok` is False, it holds the best approximation, and `reason` tells whether the point is out of reach, is
@@ -76,6 +83,21 @@ def solve_ik(
         ModelError: Collisions are to be avoided, and a link of the arm has no collision shape.
     """
     # The checks of the usual types are inline: each as a function of its own would take 1 % of the call.
+    if center_of_mass_within is not None or (type(target) is not Pose and isinstance(target, Mapping)):
+        from armctl.plan.ik.solve_tree import solve_tree
+
+        return solve_tree(
+            arm,
+            target if isinstance(target, Mapping) else {arm.tip: target},
+            q0,
+            position_tolerance=position_tolerance,
+            orientation_tolerance=orientation_tolerance,
+            free_axis=free_axis,
+            nearest=nearest,
+            avoid=avoid,
+            seed=seed,
+            center_of_mass_within=center_of_mass_within,
+        )
     chain = ik_chain(arm)
     if type(target) is Pose and free_axis is None:
         constraint = _POSE

@@ -1,0 +1,105 @@
+"""Targets by tip: one configuration in which all tips are at their targets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.core.tip_targets import TipTargets, read_polygon
+from armctl.core.validation import Array, flag, frozen
+from armctl.model.arm.arm import Arm
+from armctl.model.collision.checkers import checkable
+from armctl.plan.ik.ik_result import IkResult
+from armctl.plan.ik.problem import read_seed, read_starts, read_tolerance
+from armctl.plan.ik.tree_problem import TreeTasks, read_tasks, shortfall
+
+STARTS = 300
+NEAREST_STARTS = 24  # of them for the solution that is nearest to the start
+TOLERANCE_SHARE = 0.5  # of the tolerances, which rounding must not reach
+
+
+class _Candidate(NamedTuple):
+    q: Array
+    solved: bool
+    starts: int
+    steps: int
+
+
+def solve_tree(
+    arm: Arm,
+    targets: TipTargets,
+    q0: ArrayLike | None,
+    *,
+    position_tolerance: float,
+    orientation_tolerance: float,
+    free_axis: str | None,
+    nearest: bool,
+    avoid: bool,
+    seed: int,
+    center_of_mass_within: ArrayLike | None,
+) -> IkResult:
+    """The configuration for targets by tip; arguments and errors as for `solve_ik`."""
+    tasks = read_tasks(arm, targets, free_axis)
+    tolerances = (
+        read_tolerance("position_tolerance", position_tolerance),
+        read_tolerance("orientation_tolerance", orientation_tolerance),
+    )
+    tree = TreeTasks(arm, tasks, read_polygon("center_of_mass_within", center_of_mass_within))
+    start = read_starts(arm, q0, 1)[0]
+    goals = tree.targets(start)
+    contact_at = checkable(arm).at if flag("avoid", avoid) else None
+    best: IkResult | None = None
+    distance = np.inf
+    solved = 0
+    for found in _candidates(
+        tree, goals, start, tolerances, read_seed(seed), NEAREST_STARTS if flag("nearest", nearest) else 0
+    ):
+        contact = contact_at(found.q) if found.solved and contact_at is not None else ""
+        result = _result(tree, goals, found, tolerances, contact)
+        solved += found.solved
+        away = float(np.linalg.norm(found.q - start))
+        if best is None or (result.ok, -away) > (best.ok, -distance):
+            best = result
+            distance = away
+        if best.ok and not nearest:
+            break
+    assert best is not None  # the first candidate is one
+    return best
+
+
+def _candidates(
+    tree: TreeTasks, goals: Array, start: Array, tolerances: tuple[float, float], seed: int, nearest_starts: int
+) -> Iterator[_Candidate]:
+    """Solutions in the order they are found; the last may be a best approximation."""
+    first = 0
+    steps = 0
+    while first < (nearest_starts or STARTS):
+        q = start.copy()
+        inner = (TOLERANCE_SHARE * tolerances[0], TOLERANCE_SHARE * tolerances[1])
+        last = nearest_starts if first > 0 and nearest_starts else STARTS
+        outcome = tree.core.search(goals, *inner, first, last, seed, q)
+        first += outcome.starts
+        steps += outcome.steps
+        yield _Candidate(q, outcome.solved, first, steps)
+        if not outcome.solved:
+            return
+
+
+def _result(tree: TreeTasks, goals: Array, found: _Candidate, tolerances: tuple[float, float], contact: str) -> IkResult:
+    """The result of a candidate, measured; without a reason against it, it is a solution."""
+    errors, outside = tree.errors(goals, found.q)
+    missed = shortfall(tree.tasks, errors, outside, tolerances)
+    reason = f"{missed} in the best of {found.starts} starts" if missed else contact
+    return IkResult(
+        ok=not reason,
+        q=frozen(found.q),
+        position_error=float(errors[:, 0].max()),
+        orientation_error=float(errors[:, 1].max()),
+        reason=reason,
+        iterations=found.steps,
+        starts=found.starts,
+        tip_errors={task.tip: (position, angle) for task, (position, angle) in zip(tree.tasks, errors.tolist(), strict=True)},
+    )

@@ -1,0 +1,419 @@
+"""Targets by tip: inverse kinematics of two arms, of hands and of limbs that share a torso. MuJoCo and mink judge it."""
+
+import mink
+import mujoco
+import numpy as np
+import pytest
+from arms import MISSING, at_hand, some_of
+from synthetic import limb, mjcf, motors
+
+import armctl
+from armctl import STAY, LookAt, Pose, RelativeTo
+
+pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+
+LEFT = limb("a b c p q r", '<site name="left" pos="0.1 0 0"/>')
+RIGHT = limb("d e f g h i", '<site name="right" pos="0 0.1 0" euler="0.3 0 0"/>')
+OPTION = '<option timestep="0.001" integrator="implicitfast"/>'
+TORSO = mjcf(limb("torso", LEFT + RIGHT), motors("torso a b c p q r d e f g h i") + OPTION)
+GUIDED = TORSO.replace(
+    '<joint name="torso" axis="0 0 1" range="-2 2"', '<joint name="torso" type="slide" axis="1 0 0" range="-1 1"'
+)
+ROBOTS = {
+    "a torso": ["left", "right"],
+    "on a guide": ["left", "right"],
+    "aloha": ["left/gripper", "right/gripper"],
+    "wonik_allegro": ["ff_tip", "mf_tip", "rf_tip", "th_tip"],
+}
+
+
+def loaded(name):
+    if name in ("a torso", "on a guide"):
+        text = TORSO if name == "a torso" else GUIDED
+        return armctl.load(mujoco.MjSpec.from_string(text), tips=ROBOTS[name])
+    if not at_hand(name):
+        pytest.skip(f"{name}: {MISSING}")
+    return armctl.load(name, tips=ROBOTS[name])
+
+
+@pytest.fixture(scope="module", params=some_of(ROBOTS, ["a torso", "on a guide", "aloha"]))
+def arm(request):
+    return loaded(request.param)
+
+
+@pytest.fixture(scope="module")
+def torso():
+    return loaded("a torso")
+
+
+def configurations(arm, count, seed=0):
+    return arm.limits.random(arm.home, count, np.random.default_rng(seed))
+
+
+def mujoco_pose(arm, q, tip):
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(arm.model, data)
+    frame = arm.tip_frames[arm.tips.index(tip)]
+    rotation = data.xmat[frame.body].reshape(3, 3)
+    return data.xpos[frame.body] + rotation @ frame.T_body_tip.position, rotation @ frame.T_body_tip.rotation
+
+
+def placed(position, rotation):
+    return Pose.from_matrix(np.block([[rotation, position[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]))
+
+
+def gap(arm, q, tip, target):
+    """Position and orientation error of a tip by MuJoCo's kinematics."""
+    position, rotation = mujoco_pose(arm, q, tip)
+    turn = np.arccos(np.clip(0.5 * (np.trace(rotation.T @ target.rotation) - 1.0), -1.0, 1.0))
+    return np.linalg.norm(position - target.position), turn
+
+
+def test_all_tips_reach_poses_that_can_be_reached(arm):
+    """From random starts. The fingers of a hand have too few joints for poses: they get points."""
+    by_point = arm.n < 6 * len(arm.tips) - 1
+    goals = configurations(arm, 100, seed=1)
+    starts = configurations(arm, 100, seed=2)
+    solved = 0
+    for goal, start in zip(goals, starts, strict=True):
+        poses = {tip: arm.fk(goal, tip) for tip in arm.tips}
+        targets = {tip: pose.position if by_point else pose for tip, pose in poses.items()}
+        found = armctl.solve_ik(arm, targets, start)
+        solved += found.ok
+        assert ((found.q >= arm.limits.q_min) & (found.q <= arm.limits.q_max)).all()
+        for tip, pose in poses.items():
+            position, turn = gap(arm, found.q, tip, pose)
+            assert found.tip_errors[tip][0] == pytest.approx(position, abs=1e-9)
+            if found.ok:
+                assert position < 1e-5
+                assert by_point or turn < 1.1e-4
+    assert solved >= 99
+
+
+def test_the_same_call_gives_the_same_bits_and_is_near_its_start(arm):
+    start = configurations(arm, 1, seed=3)[0]
+    near = arm.limits.clamp(start + 0.03)
+    targets = {tip: arm.fk(near, tip).position for tip in arm.tips}
+    one, other = (armctl.solve_ik(arm, targets, start, seed=4) for _ in range(2))
+    assert one
+    assert one.q.tobytes() == other.q.tobytes()
+    assert np.abs(one.q - start).max() < 0.3
+
+
+def test_a_tip_without_target_is_free_and_an_arm_with_one_tip_takes_targets_by_tip_too(torso):
+    target = torso.fk(configurations(torso, 1)[0], "right")
+    found = armctl.solve_ik(torso, {"right": target})
+    assert found
+    assert gap(torso, found.q, "right", target)[0] < 1e-5
+    one = armctl.load("robot_arm_3dof")
+    point = one.fk(np.full(3, 0.3)).position
+    assert armctl.solve_ik(one, {one.tip: point}).q == pytest.approx(armctl.solve_ik(one, point).q, abs=1e-4)
+
+
+def test_targets_out_of_reach_are_told_apart_by_tip(torso):
+    home = torso.home
+    far = torso.fk(home, "left").position + np.array([0.0, 0.0, 5.0])
+    found = armctl.solve_ik(torso, {"left": far, "right": torso.fk(home, "right")})
+    assert not found
+    assert found.reason.startswith("left is ")
+    assert "right is " in found.reason
+    stays = armctl.solve_ik(torso, {"left": far, "right": STAY})
+    assert "right is there" in stays.reason
+    position, turn = gap(torso, stays.q, "right", torso.fk(home, "right"))
+    assert position < 1e-8
+    assert turn < 1e-6
+
+
+def test_the_best_approximation_is_a_minimum(torso):
+    """No small change of the joints that keeps the one hand brings the other nearer."""
+    start = 0.5 * configurations(torso, 1, seed=8)[0]
+    far = torso.fk(start, "left").position + np.array([0.3, 0.4, 5.0])
+    q = armctl.solve_ik(torso, {"left": far, "right": STAY}, start).q
+    nearest = np.linalg.norm(torso.fk(q, "left").position - far)
+    held = torso.fk(start, "right")
+    J = torso.jacobian(q, "right")
+    free = np.linalg.svd(J)[2][np.linalg.matrix_rank(J, tol=1e-6) :]
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        other = torso.limits.clamp(q + 3e-4 * rng.normal(size=len(free)) @ free)
+        if gap(torso, other, "right", held)[0] < 1e-6:
+            assert np.linalg.norm(torso.fk(other, "left").position - far) > nearest - 1e-5
+
+
+def test_a_relative_target_holds_before_one_in_the_world(torso):
+    start = 0.5 * configurations(torso, 1, seed=9)[0]
+    left, right = (torso.fk(start, tip) for tip in torso.tips)
+    relative = left.inverse() @ right
+    moved = torso.fk(start + 0.02, "left")
+    found = armctl.solve_ik(torso, {"left": moved, "right": RelativeTo("left", relative)}, start)
+    assert found
+    assert gap(torso, found.q, "right", moved @ relative)[0] < 1e-5
+    beyond = armctl.solve_ik(torso, {"left": [0.0, 0.0, 9.0], "right": RelativeTo("left", relative)}, start)
+    assert "right is there" in beyond.reason
+    position, rotation = mujoco_pose(torso, beyond.q, "left")
+    assert gap(torso, beyond.q, "right", placed(position, rotation) @ relative)[0] < 1e-7
+
+
+def test_a_tip_looks_at_a_point(torso):
+    point = np.array([1.0, -0.4, 0.9])
+    found = armctl.solve_ik(torso, {"right": LookAt(point), "left": torso.fk(torso.home, "left").position})
+    assert found
+    position, rotation = mujoco_pose(torso, found.q, "right")
+    away = point - position
+    assert rotation[:, 2] @ away / np.linalg.norm(away) == pytest.approx(1.0, abs=1e-8)
+
+
+def test_the_center_of_mass_stays_over_a_polygon(torso):
+    data = mujoco.MjData(torso.model)
+
+    def center(q):
+        data.qpos[:] = torso.qpos(q)
+        mujoco.mj_kinematics(torso.model, data)
+        mujoco.mj_comPos(torso.model, data)
+        return data.subtree_com[torso.model.body_rootid[torso.tip_body], :2].copy()
+
+    x, y = center(torso.home)
+    square = np.array([[x - 0.02, y - 0.02], [x + 0.02, y - 0.02], [x + 0.02, y + 0.02], [x - 0.02, y + 0.02]])
+    far = {"left": [2.0, 2.0, 0.5]}
+    free = armctl.solve_ik(torso, far)
+    assert np.abs(center(free.q) - [x, y]).max() > 0.05
+    kept = armctl.solve_ik(torso, far, center_of_mass_within=square)
+    assert np.abs(center(kept.q) - [x, y]).max() < 0.02 + 1e-6
+    ik = armctl.DifferentialIk(torso, center_of_mass_within=square)
+    q = torso.home
+    for _ in range(1000):
+        q = q + 0.005 * ik.step(q, far, 0.005)
+        assert np.abs(center(q) - [x, y]).max() < 0.02 + 1e-6
+
+
+def test_solutions_without_contact():
+    """Two arms side by side: with their tips at the same place the links would touch."""
+    link = '<geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03" mass="1"/>'
+
+    def planar(side, y):
+        hinge = '<joint name="{}" axis="0 0 1" range="-2.5 2.5"/>'
+        outer = f'<geom type="capsule" fromto="0.08 0 0 0.4 0 0" size="0.03" mass="1"/><site name="{side}" pos="0.42 0 0"/>'
+        inner = f'<body pos="0.4 0 0">{hinge.format(side + "2")}{outer}</body>'
+        return f'<body name="base {side}" pos="0 {y} 0.2">{hinge.format(side + "1")}{link}{inner}</body>'
+
+    text = mjcf(planar("l", 0.3) + planar("r", -0.3), motors("l1 l2 r1 r2"))
+    arm = armctl.load(mujoco.MjSpec.from_string(text), tips=["l", "r"])
+    data = mujoco.MjData(arm.model)
+    for seed in range(10):
+        q = configurations(arm, 1, seed=100 + seed)[0]
+        targets = {tip: arm.fk(q, tip).position for tip in arm.tips}
+        found = armctl.solve_ik(arm, targets, avoid=True)
+        if found:
+            data.qpos[:] = arm.qpos(found.q)
+            mujoco.mj_forward(arm.model, data)
+            assert not any(contact.dist < 0.0 for contact in data.contact)
+        else:
+            assert found.reason
+
+
+def free_limits(arm):
+    """The arm without limits of speed and acceleration."""
+    n = arm.n
+    limits = arm.limits
+    wide = armctl.Limits(limits.q_min, limits.q_max, np.full(n, 1e6), np.full(n, 1e9), np.full(n, 1e12), limits.tau_max)
+    return arm.with_limits(wide)
+
+
+class Rows(mink.Task):
+    """A task of mink from rows that MuJoCo gives: error and Jacobian, (6 T,) and (6 T, nv)."""
+
+    def __init__(self, error, J):
+        super().__init__(cost=np.ones(len(error)), gain=1.0, lm_damping=0.0)
+        self.error, self.J = error, J
+
+    def compute_error(self, configuration):
+        return -self.error
+
+    def compute_jacobian(self, configuration):
+        return self.J
+
+
+class Square(mink.Task):
+    """A cost on the step itself, (nv,) weights."""
+
+    def __init__(self, weights):
+        super().__init__(cost=np.sqrt(weights), gain=1.0, lm_damping=0.0)
+
+    def compute_error(self, configuration):
+        return np.zeros(len(self.cost))
+
+    def compute_jacobian(self, configuration):
+        return np.eye(len(self.cost))
+
+
+def test_a_step_is_the_optimum_of_minks_program(torso):
+    """Without limits in the way: errors, Jacobians and their derivatives by MuJoCo, the program by mink."""
+    arm = free_limits(torso)
+    reach = 0.1 * np.sqrt(2.0) * 6 + 0.1  # six links and the site
+    third = reach / 3.0  # m per rad
+    data = mujoco.MjData(arm.model)
+
+    def rows(q, goals):
+        error, jacobian = [], []
+        data.qpos[:] = arm.qpos(q)
+        mujoco.mj_kinematics(arm.model, data)
+        mujoco.mj_comPos(arm.model, data)
+        for tip, goal in goals.items():
+            position, rotation = mujoco_pose(arm, q, tip)
+            J = np.zeros((6, arm.model.nv))
+            mujoco.mj_jac(arm.model, data, J[:3], J[3:], position, arm.tip_frames[arm.tips.index(tip)].body)
+            turn = np.zeros(3)
+            quat = np.zeros(4)
+            mujoco.mju_mat2Quat(quat, (goal.rotation @ rotation.T).ravel())
+            mujoco.mju_quat2Vel(turn, quat, 1.0)
+            error.append(np.concatenate([goal.position - position, third * turn]) / reach)
+            jacobian.append(np.concatenate([J[:3], third * J[3:]]) / reach)
+        return np.concatenate(error), np.concatenate(jacobian)
+
+    rng = np.random.default_rng(5)
+    order = np.argsort(arm.dof_adr)
+    for q in 0.5 * configurations(arm, 10, seed=6):
+        other = arm.limits.clamp(q + 0.1 * rng.normal(size=arm.n))
+        goals = {tip: arm.fk(other, tip) for tip in arm.tips}
+        v = armctl.DifferentialIk(arm, posture_gain=0.0).step(q, goals, 1.0)
+        e, J = rows(q, goals)
+        curvature = np.zeros((arm.model.nv, arm.model.nv))
+        step = 1e-6
+        for k in range(len(goals)):
+            own = slice(6 * k, 6 * k + 6)
+            for j in range(arm.n):
+                moved = np.eye(arm.n)[j] * step
+                change = (rows(q + moved, goals)[1] - rows(q - moved, goals)[1]) / (2 * step)
+                curvature[arm.dof_adr[j]] += e[own] @ change[own]
+        bound = np.abs(0.5 * (curvature + curvature.T)).sum(axis=1)
+        configuration = mink.Configuration(arm.model, arm.qpos(q))
+        tasks = [Rows(e, J), Square(bound + 1e-10)]
+        expected = mink.solve_ik(configuration, tasks, 1.0, "daqp", damping=0.0, limits=[])
+        assert v[order] == pytest.approx(expected, abs=1e-6)
+
+
+def violations(arm, q, v, v_before, dt):
+    limits = arm.limits
+    after = q + dt * v
+    return (
+        (np.abs(v) > limits.v_max).any(),
+        (np.abs(v - v_before) > limits.a_max * dt * (1 + 1e-9)).any(),
+        ((after < limits.q_min) | (after > limits.q_max)).any(),
+    )
+
+
+def test_steps_keep_all_limits_and_stand_still_where_nothing_is_nearer(arm):
+    rng = np.random.default_rng(7)
+    ik = armctl.DifferentialIk(arm)
+    q = arm.home
+    v = np.zeros(arm.n)
+    for round_number in range(8):
+        goal = configurations(arm, 1, seed=rng.integers(1000))[0]
+        scale = 1.0 if round_number % 2 else 3.0
+        dt = [0.001, 0.002, 0.01, 0.02][round_number // 2]
+        ik.reset(v)
+        targets = {tip: scale * arm.fk(goal, tip).position for tip in arm.tips}
+        missed = []
+        for _ in range(int(4.0 / dt)):
+            before = v
+            v = ik.step(q, targets, dt)
+            assert violations(arm, q, v, before, dt) == (False, False, False)
+            q = q + dt * v
+            missed.append(sum(np.linalg.norm(arm.fk(q, tip).position - target) ** 2 for tip, target in targets.items()))
+        assert np.diff(missed[len(missed) // 4 :]).max() < 1e-6
+        assert max(np.linalg.norm(arm.jacobian(q, tip)[:3] @ v) for tip in arm.tips) < 0.2
+
+
+def test_steps_arrive_and_there_is_no_drift_when_targets_come_back(torso):
+    ik = armctl.DifferentialIk(torso)
+    near = {tip: torso.fk(torso.limits.clamp(torso.home + 0.2), tip) for tip in torso.tips}
+    far = {tip: Pose(4.0 * pose.position, quat=pose.quat) for tip, pose in near.items()}
+    q = torso.home
+    for targets, seconds in ((near, 3.0), (far, 3.0), (near, 4.0)):
+        for _ in range(int(seconds / 0.004)):
+            q = q + 0.004 * ik.step(q, targets, 0.004)
+    for tip, pose in near.items():
+        position, turn = gap(torso, q, tip, pose)
+        assert position < 1e-6
+        assert turn < 1e-5
+
+
+def test_tips_that_stay_or_are_relative_hold_at_every_step(torso):
+    home = torso.home
+    left, right = (torso.fk(home, tip) for tip in torso.tips)
+    relative = left.inverse() @ right
+    for dt in (0.001, 0.01):
+        ik = armctl.DifferentialIk(torso)
+        q = home
+        for k in range(int(2.0 / dt)):
+            far = left.position + np.array([0.3 * np.sin(3 * k * dt), 0.0, 3.0])
+            q = q + dt * ik.step(q, {"right": STAY, "left": far}, dt)
+            assert gap(torso, q, "right", right)[0] < 1e-6
+        ik.reset()
+        q = home
+        for k in range(int(2.0 / dt)):
+            goal = Pose(left.position + 0.2 * np.array([np.sin(k * dt), np.sin(2 * k * dt), 0.0]), quat=left.quat)
+            q = q + dt * ik.step(q, {"left": goal, "right": RelativeTo("left", relative)}, dt)
+            position, rotation = mujoco_pose(torso, q, "left")
+            assert gap(torso, q, "right", placed(position, rotation) @ relative)[0] < 1e-6
+            assert ik.status == "solved"
+
+
+def test_a_joint_that_cannot_stop_in_time_is_slowed_from_the_first_step(torso):
+    """A start at full speed towards a limit: the limit holds if it can, and the acceleration limit does in any case."""
+    q = torso.home.copy()
+    v = np.zeros(torso.n)
+    v[0] = torso.limits.v_max[0]
+    room = v[0] ** 2 / (2.0 * torso.limits.a_max[0])
+    q[0] = torso.limits.q_max[0] - 1.2 * room
+    ik = armctl.DifferentialIk(torso)
+    ik.reset(v)
+    dt = 0.002
+    for _ in range(500):
+        before = v
+        v = ik.step(q, {"left": [0.0, 3.0, 0.5]}, dt)
+        assert violations(torso, q, v, before, dt) == (False, False, False)
+        q = q + dt * v
+
+
+@pytest.mark.parametrize(
+    ("targets", "text"),
+    [
+        ({}, "no tip has a target"),
+        ({"lefty": [0, 0, 1]}, "did you mean 'left'"),
+        ({"left": [0, 1]}, "expected 3 numbers"),
+        ({"left": [0, np.nan, 1]}, "finite"),
+        ({"left": "up"}, "expected a Pose, a point, STAY, RelativeTo or LookAt"),
+        ({"left": RelativeTo("rigth", [0, 0, 0])}, "did you mean 'right'"),
+        ({"left": RelativeTo("left", [0, 0, 0])}, "relative to each other"),
+        ({"left": RelativeTo("right", [0, 0, 0]), "right": RelativeTo("left", [0, 0, 0])}, "relative to each other"),
+    ],
+)
+def test_wrong_targets_are_one_sentence(torso, targets, text):
+    with pytest.raises(armctl.ArmctlError, match=text):
+        armctl.solve_ik(torso, targets)
+    with pytest.raises(armctl.ArmctlError, match=text):
+        armctl.DifferentialIk(torso).step(torso.home, targets, 0.01)
+
+
+def test_wrong_polygons_and_points_are_one_sentence(torso):
+    with pytest.raises(armctl.InputError, match="not convex"):
+        armctl.solve_ik(torso, {"left": [0, 0, 1]}, center_of_mass_within=[[0, 0], [1, 0], [0.2, 0.2], [0, 1]])
+    with pytest.raises(armctl.InputError, match="at least three"):
+        armctl.solve_ik(torso, {"left": [0, 0, 1]}, center_of_mass_within=[[0, 0], [1, 0]])
+    with pytest.raises(armctl.InputError, match="point"):
+        LookAt([1, 2])
+    with pytest.raises(armctl.InputError, match="tip"):
+        RelativeTo(3, [0, 0, 0])
+    with pytest.raises(armctl.InputError, match="a pose is for one"):
+        armctl.DifferentialIk(torso).step(torso.home, [0, 0, 1], 0.01)
+    with pytest.raises(armctl.InputError, match="one tip"):
+        armctl.DifferentialIk(torso, avoid=True)
+
+
+def test_contradictory_exact_targets_are_named(torso):
+    found = armctl.solve_ik(torso, {"left": STAY, "right": RelativeTo("left", [5.0, 0.0, 0.0])})
+    assert not found
+    assert np.isfinite(found.q).all()
+    assert "right is " in found.reason
