@@ -115,6 +115,8 @@ def reference() -> dict[str, str]:
 def directive(name: str) -> list[str]:
     """The Sphinx directive that documents one public name."""
     value = attrgetter(name)(armctl)
+    if not callable(value):
+        return [f".. autodata:: armctl.{name}", "   :no-value:"]
     if not inspect.isclass(value):
         return [f".. autofunction:: armctl.{name}"]
     if issubclass(value, Exception):
