@@ -20,6 +20,7 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from markdown_table import markdown_table
 
@@ -46,6 +47,62 @@ def tick(arm: armctl.Arm) -> Call:
     return lambda ticks: simulation.run(motion, dwell=ticks * arm.dt)
 
 
+class InPython:
+    """Computed torque as a controller in Python, which does nothing else."""
+
+    def __init__(self, arm: armctl.Arm):
+        self._law = armctl.ComputedTorque(arm)
+
+    def torque(self, state: armctl.State, setpoint: armctl.Setpoint) -> np.ndarray:
+        return self._law.torque(state, setpoint)
+
+
+def python_tick(arm: armctl.Arm) -> Call:
+    """One tick of a run whose controller is called in Python."""
+    motion = armctl.out_and_back(arm)
+    simulation = armctl.Simulation(arm, InPython(arm))
+    simulation.run(motion, dwell=0.0)
+    return lambda ticks: simulation.run(motion, dwell=ticks * arm.dt)
+
+
+def step(arm: armctl.Arm) -> Call:
+    """One call of `sim.step`, which holds the arm with a controller in Python."""
+    simulation = armctl.Simulation(arm, InPython(arm))
+    simulation.step()
+    return lambda k: simulation.step()
+
+
+def run_of_many(arm: armctl.Arm) -> Call:
+    """One run of `simulate_many`, each with another payload."""
+    motion = armctl.out_and_back(arm)
+    controller = armctl.ComputedTorque(arm)
+    armctl.simulate_many(arm, controller, motion, armctl.Plant(payload=2.0), threads=1)
+    return lambda runs: armctl.simulate_many(arm, controller, motion, payloads(runs), threads=1)
+
+
+def bare_run(arm: armctl.Arm) -> Call:
+    """The torques of such a run once more, in a loop that calls `mj_step`; its model is made before."""
+    plant = payloads(1)[0]
+    log = armctl.simulate(arm, armctl.ComputedTorque(arm), armctl.out_and_back(arm), plant)
+    model = plant.model(arm)
+
+    def replay(k: int) -> None:
+        data = mujoco.MjData(model)
+        data.qpos[:] = log.qpos[0]
+        data.ctrl[:] = arm.home_ctrl
+        mujoco.mj_forward(model, data)
+        for controls in log.tau_cmd / arm.gear:
+            data.ctrl[arm.ctrl_adr] = controls
+            mujoco.mj_step(model, data)
+        assert np.allclose(data.qpos[arm.qpos_adr], log.q[-1], atol=1e-3)
+
+    return replay
+
+
+def payloads(count: int) -> list[armctl.Plant]:
+    return [armctl.Plant(payload=float(mass)) for mass in np.linspace(0.1, 1.0, count)]
+
+
 def check_clearance(arm: armctl.Arm) -> Call:
     """The proof of a motion out and back."""
     motion = armctl.out_and_back(arm)
@@ -67,6 +124,10 @@ def push(arm: armctl.Arm) -> Call:
 CALLS: dict[str, tuple[Callable[[armctl.Arm], Call], int, bool]] = {
     "solve_ik": (solve_ik, 200, False),
     "tick": (tick, 2000, True),
+    "tick in Python": (python_tick, 2000, True),
+    "step": (step, 500, False),
+    "run of many": (run_of_many, 30, True),
+    "bare run": (bare_run, 15, False),
     "check_clearance": (check_clearance, 20, False),
     "push": (push, 100, False),
 }

@@ -151,8 +151,10 @@ class Log:
         )
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "source", LogSource(choice("source", self.source, LogSource)))
-        object.__setattr__(self, "torques", LogTorques(choice("torques", self.torques, LogTorques)))
+        if not isinstance(self.source, LogSource):
+            object.__setattr__(self, "source", LogSource(choice("source", self.source, LogSource)))
+        if not isinstance(self.torques, LogTorques):
+            object.__setattr__(self, "torques", LogTorques(choice("torques", self.torques, LogTorques)))
         object.__setattr__(self, "joint_names", words("joint_names", self.joint_names))
         units = words("units", self.units) or ("rad",) * len(self.joint_names)
         if len(units) != len(self.joint_names) or not set(units) <= {"rad", "m"}:

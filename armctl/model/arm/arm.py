@@ -123,7 +123,7 @@ class Arm:
         """All tips, as frames in bodies of the model."""
         return (TipFrame(self.tip, self.tip_body, self.T_body_tip), *self.further_tips)
 
-    @property
+    @cached_property
     def last_bodies(self) -> tuple[int, ...]:
         """For each tip, the body that the last of the joints to it moves: what is behind that body moves with the tip."""
         moved = self.moved_bodies
@@ -135,7 +135,7 @@ class Arm:
             found.append(body)
         return tuple(found)
 
-    @property
+    @cached_property
     def moved_bodies(self) -> frozenset[int]:
         """The bodies that carry the n joints."""
         return frozenset(self.model.dof_bodyid[self.dof_adr].tolist())

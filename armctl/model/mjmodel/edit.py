@@ -40,7 +40,7 @@ def add_payload(model: mujoco.MjModel, body: int, T_body_tip: Pose, mass: float,
     """
     T_carrier_tip = T_body_tip
     carrier = payload_body(model, body)
-    if carrier is not None:
+    if carrier is not None and carrier != body:
         T_carrier_tip = _pose_in(model, body, carrier) @ T_body_tip
         body = carrier
     turn = T_carrier_tip.rotation
@@ -56,7 +56,8 @@ def add_payload(model: mujoco.MjModel, body: int, T_body_tip: Pose, mass: float,
 def set_body_inertia(model: mujoco.MjModel, body: int, inertia: pin.Inertia) -> None:
     """Sets the inertia of a body, given in the body's frame, in place. The caller must call `mj_setConst` afterwards."""
     moments, axes = np.linalg.eigh(inertia.inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 2] *= -1.0
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())
     model.body_mass[body] = inertia.mass

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 
@@ -116,7 +117,7 @@ class ControlledArms:
         self.arms = {arm.tip: arm for arm in arms}
         self.controllers = dict(controllers)
         self.drive = drive
-        ends = np.cumsum([arm.n for arm in arms]).tolist()
+        ends = accumulate(arm.n for arm in arms)
         self._slices = {arm.tip: slice(end - arm.n, end) for arm, end in zip(arms, ends, strict=True)}
         self._wrenches = {arm.tip: slice(WRENCH_SIZE * i, WRENCH_SIZE * (i + 1)) for i, arm in enumerate(arms)}
         self._logs: dict[str, Log] = {}

@@ -9,6 +9,7 @@ friction that of a `dcmotor` without an input.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
@@ -94,7 +95,7 @@ class Drivetrain:
         motors = np.array([data.qpos[self.motor_qpos], data.qvel[self.motor_dof]])
         return motors - [self.link_positions(data.qpos), self.link_speeds(data.qvel)]
 
-    @property
+    @cached_property
     def addresses(self) -> dict[str, Any]:
         """The joints and motors as the compiled core takes them, (n,) each; -1 for none."""
         actuation = self.actuation
@@ -130,6 +131,8 @@ class Drivetrain:
             moving[self.motor_dof[self.owners]] = moving[self.actuation.dof_adr[self.owners]]
         data.qvel[:] = moving
         self.set_commands(model, data, holding[None])
+        if not model.na:
+            return holding
         for motor, force in zip(self.actuation.motor_adr.tolist(), holding / self.actuation.gear, strict=True):
             address = current_state(model, motor)
             if address >= 0:
@@ -138,8 +141,9 @@ class Drivetrain:
 
     def set_commands(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array, substeps: int = 1) -> None:
         """Gives delayed actuators the commands of the ticks before, (ticks, n) N m, the last one first; the oldest lasts."""
+        delays = model.actuator_delay[self.actuation.motor_adr].tolist()
         for i, motor in enumerate(self.actuation.motor_adr.tolist()):
-            if not model.actuator_delay[motor] > 0.0:
+            if not delays[i] > 0.0:
                 continue
             ages = np.arange(int(model.actuator_history[motor, 0]), 0, -1)
             ticks = np.minimum((ages - 1) // substeps, len(torques) - 1)
@@ -280,10 +284,10 @@ def per_joint(name: str, value: object, arms: Sequence[Arm]) -> Array:
     """A checked attribute of one number, or of one for each of the n joints of some arms, as (n,)."""
     n = sum(arm.n for arm in arms)
     values = np.asarray(value, dtype=np.float64)
-    if len(np.atleast_1d(values)) not in (1, n):
+    if values.size not in (1, n):
         names = ", ".join(arm.name for arm in arms)
-        raise InputError(f"{name}: expected 1 or {n} numbers, got {len(values)} ({names:.80})")
-    return np.broadcast_to(values, n).copy()
+        raise InputError(f"{name}: expected 1 or {n} numbers, got {values.size} ({names:.80})")
+    return np.full(n, values)
 
 
 def _add_elements(spec: mujoco.MjSpec, arms: Sequence[Arm], structure: Structure) -> None:

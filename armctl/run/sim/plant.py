@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import mujoco
@@ -225,27 +226,28 @@ class Plant:
         instance("name", self.name, str, "'worn gears' is one")
 
     def __str__(self) -> str:
-        differences = [
-            attribute.describe(getattr(self, name))
-            for name, attribute in PLANT_ATTRIBUTES.items()
-            if attribute.phrase and self._differs(name) and any(map(self._differs, attribute.only_with or [name]))
+        phrases = [
+            attribute.describe(value)
+            for attribute, value in ((PLANT_ATTRIBUTES[name], value) for name, value in self._differences.items())
+            if attribute.phrase and (not attribute.only_with or not self._differences.keys().isdisjoint(attribute.only_with))
         ]
-        return self.name or ", ".join(differences) or "nominal"
+        return self.name or ", ".join(phrases) or "nominal"
 
-    def _differs(self, name: str) -> bool:
-        return PLANT_ATTRIBUTES[name].differs(getattr(self, name))
+    @cached_property
+    def _differences(self) -> Mapping[str, object]:
+        """The attributes that differ from their defaults, with their values."""
+        values = vars(self)
+        return {name: values[name] for name, attribute in PLANT_ATTRIBUTES.items() if attribute.differs(values[name])}
 
-    @property
+    @cached_property
     def key(self) -> tuple[object, ...]:
-        """All values as something hashable: two plants with equal keys behave identically."""
-        return tuple(_hashable(getattr(self, name)) for name in PLANT_ATTRIBUTES)
+        """All differences as something hashable: two plants with equal keys behave identically."""
+        return tuple((name, _hashable(value)) for name, value in self._differences.items())
 
     @property
     def has_signal_disturbances(self) -> bool:
         """Whether measurements or commands are disturbed during a run."""
-        return self.differences_positions or any(
-            attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items()
-        )
+        return self.differences_positions or any(PLANT_ATTRIBUTES[name].disturbs_signals for name in self._differences)
 
     @property
     def differences_positions(self) -> bool:
@@ -366,14 +368,18 @@ def _limit_motors(model: mujoco.MjModel, arm: Arm) -> None:
     own = arm.model
     motors = arm.actuation.motor_adr
     bound = np.minimum(arm.limits.tau_max / np.abs(arm.gear), own.actuator_forcerange[motors, 1])
-    model.actuator_forcerange[motors] = np.column_stack([-bound, bound])
+    model.actuator_forcerange[motors, 0] = -bound
+    model.actuator_forcerange[motors, 1] = bound
     model.actuator_ctrlrange[arm.ctrl_adr] = model.actuator_forcerange[motors]
 
 
 def _check_history(model: mujoco.MjModel) -> None:
     """Refuses steps that are too short for the buffer of an actuator's delay: MuJoCo would shorten the delay."""
+    is_late = model.actuator_delay > 0.0
+    if not is_late.any():
+        return
     step = model.opt.timestep
-    is_short = (model.actuator_delay > 0.0) & (model.actuator_delay > (model.actuator_history[:, 0] + 1e-6) * step)
+    is_short = is_late & (model.actuator_delay > (model.actuator_history[:, 0] + 1e-6) * step)
     for actuator in np.flatnonzero(is_short).tolist():
         needed = math.ceil(model.actuator_delay[actuator] / step - 1e-6)
         raise InputError(
@@ -409,12 +415,13 @@ def brake(model: mujoco.MjModel, dofs: IntArray) -> None:
     MuJoCo's solver takes its tolerance relative to the mean inertia of all joints, so the tolerance is scaled back.
     """
     held = np.zeros(model.nv, bool)
-    held[dofs] = True
-    inertia = model.dof_M0 + model.dof_armature
-    model.opt.tolerance *= inertia.mean() / (inertia + _BRAKE_INERTIA * held).mean()
-    model.dof_armature[held] = _BRAKE_INERTIA
-    model.dof_frictionloss[held] = 0.0
-    model.jnt_limited[held[model.jnt_dofadr]] = 0
+    if len(dofs):
+        held[dofs] = True
+        inertia = model.dof_M0 + model.dof_armature
+        model.opt.tolerance *= inertia.mean() / (inertia + _BRAKE_INERTIA * held).mean()
+        model.dof_armature[held] = _BRAKE_INERTIA
+        model.dof_frictionloss[held] = 0.0
+        model.jnt_limited[held[model.jnt_dofadr]] = 0
     for tendon in range(model.ntendon):
         if held[dofs_of_tendon(model, tendon)].all():
             model.tendon_limited[tendon] = 0

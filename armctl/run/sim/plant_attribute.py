@@ -4,13 +4,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, as_array, choice, inertia_tensor, instance, integer, number, vector
+from armctl.core.validation import Array, as_array, choice, inertia_tensor, instance, integer, number, read_only, vector
 
 _FIELD_KEY = "plant attribute"
 
@@ -46,8 +47,17 @@ class PlantAttribute:
     is_factor: bool = True  # can be a factor of a study
     varies_in_episodes: bool = False  # can be drawn by the episodes of an environment
 
+    @cached_property
+    def checked_default(self) -> Any:
+        """The default as `read` returns it, which all plants share."""
+        value = self._read("default", self.default)
+        return read_only(value) if isinstance(value, np.ndarray) else value
+
     def read(self, name: str, value: Any) -> Any:
         """A value as a caller gave it, checked; a value that is not read here is returned as it is."""
+        return self.checked_default if value is self.default else self._read(name, value)
+
+    def _read(self, name: str, value: Any) -> Any:
         if self.default is None and value is None:
             return None
         match self.kind:
@@ -78,6 +88,8 @@ class PlantAttribute:
 
     def differs(self, value: Any) -> bool:
         """Whether a checked value differs from the default."""
+        if value is self.checked_default:
+            return False
         if isinstance(value, tuple):
             return bool(value)
         if isinstance(value, np.ndarray) or isinstance(self.default, np.ndarray):

@@ -80,8 +80,13 @@ class SimulatedArms(ControlledArms):
         start = trajectory(0.0)
         q = np.asarray(start.q, dtype=np.float64)
         arm.check_units("trajectory", q)
-        state = self.stepper.state
-        here = np.stack([state.q[joints], self.stepper.q_ref[joints]])
+        v = np.asarray(start.v, dtype=np.float64)
+        q_now = self.stepper.q[joints]
+        v_now = self.stepper.v[joints]
+        q_ref = self.stepper.q_ref[joints]
+        if (q == q_now).all() and (q == q_ref).all() and (v == v_now).all():  # as after a reset to it
+            return
+        here = np.stack([q_now, q_ref])
         gap = _outside(q, here)
         if gap.max() > START_TOLERANCE:
             i = int(gap.argmax())
@@ -91,15 +96,14 @@ class SimulatedArms(ControlledArms):
                 f"from where the arm is, {here[0, i]:.4g} {arm.units[i]}; plan it from sim.state.q, call sim.reset(q=start) "
                 "before, or use armctl.simulate, which starts where the motion does",
             )
-        v = np.asarray(start.v, dtype=np.float64)
-        speed = _outside(v, np.stack([state.v[joints], np.zeros(arm.n)]))
+        speed = _outside(v, np.stack([v_now, np.zeros(arm.n)]))
         over = speed > arm.limits.a_max * self.stepper.dt + START_SPEED_TOLERANCE
         if over.any():
             i = int(over.argmax())
             _elsewhere(
                 trajectory,
                 f"trajectory: it begins with {arm.joint_names[i]} moving at {v[i]:.4g} {arm.units[i]}/s, but the arm moves at "
-                f"{state.v[joints][i]:.4g} {arm.units[i]}/s; plan it from the arm's state, or use armctl.simulate",
+                f"{v_now[i]:.4g} {arm.units[i]}/s; plan it from the arm's state, or use armctl.simulate",
             )
 
     def _check_end(self, tip: str, trajectory: JointTrajectory) -> None:

@@ -191,6 +191,16 @@ class Stepper:
         return bool(np.abs(self._built.v[joints]).max() < AT_REST_SPEED)
 
     @property
+    def q(self) -> Array:
+        """(n,) rad, of the links."""
+        return self._built.q
+
+    @property
+    def v(self) -> Array:
+        """(n,) rad/s, of the links."""
+        return self._built.v
+
+    @property
     def state(self) -> State:
         return self._true_state()._replace(wrench=self._wrench_sensor.read(self._run.push))
 

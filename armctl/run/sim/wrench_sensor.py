@@ -1,6 +1,7 @@
 """WrenchSensor: the wrench of the environment on the tips, true or as a plant's sensors measure it."""
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import mujoco
@@ -15,7 +16,7 @@ from armctl.run.sim.mujoco_library import mujoco_api
 from armctl.run.sim.plant_model import PlantModel
 
 _MIN_JOINTS_FOR_MOMENTS = 6  # the torques of fewer joints do not separate moments from forces
-_CARTESIAN_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_FLEX))
+_CARTESIAN_EQUALITIES = {int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_FLEX)}
 
 
 class _Site(NamedTuple):
@@ -44,9 +45,9 @@ class WrenchSensor:
         self._data = built.data
         self._period = (built.dt, built.continuous)
         self._sites = [_Site(arm.last_bodies[0], arm.tip_body, arm.T_body_tip.position, arm.core_model) for arm in arms]
-        self._ends = np.cumsum([arm.n for arm in arms]).tolist()
-        self._has_connections = bool(np.isin(model.eq_type, _CARTESIAN_EQUALITIES).any())
-        self._noise_scale = np.tile([plant.force_noise] * 3 + [plant.moment_noise] * 3, len(arms))
+        self._ends = list(accumulate(arm.n for arm in arms))
+        self._has_connections = not _CARTESIAN_EQUALITIES.isdisjoint(model.eq_type.tolist())
+        self._noise_scale = np.array(([plant.force_noise] * 3 + [plant.moment_noise] * 3) * len(arms))
         self._has_noise = bool(plant.force_noise or plant.moment_noise)
         self._is_sampled = self._has_noise or bool(plant.wrench_delay) or plant.wrench_source == "torques"
         self._tips: list[_core.WrenchSensor] = []

@@ -178,6 +178,18 @@ def test_two_plants_of_the_same_kind_have_different_texts_and_keys(first, second
     assert armctl.Plant(**first).key == armctl.Plant(**first).key
 
 
+def test_a_value_that_equals_its_default_is_no_difference():
+    written = armctl.Plant(payload_center=np.zeros(3), payload_inertia=np.zeros((3, 3)), coulomb_friction=[0.0], delay=0.0)
+    assert written.key == armctl.Plant().key
+    assert str(written) == "nominal"
+
+
+def test_what_plants_share_cannot_be_changed():
+    with pytest.raises(ValueError, match="WRITEABLE"):
+        armctl.Plant().coulomb_friction.setflags(write=True)
+    assert armctl.Plant().coulomb_friction is armctl.Plant().coulomb_friction
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"), [(("0", 1), "start: '0' is not"), ((0, 1, [1, 2]), "force: expected 3 numbers, got 2")]
 )

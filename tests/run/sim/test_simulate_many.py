@@ -1,5 +1,7 @@
 """Many runs on threads: each is the run that `simulate` makes, with any number of threads."""
 
+import threading
+
 import numpy as np
 import pytest
 from arms import arm_of
@@ -47,6 +49,19 @@ def test_a_plant_changed_in_place_is_a_new_plant():
     for log, plant in zip(changed[4:7], PLANTS[4:7], strict=True):
         simulation = armctl.Simulation(panda, "pd-gravity", plant)
         assert np.array_equal(simulation.run(Still(panda.home, 0.1), dwell=0.0).q, log.q)
+
+
+@pytest.mark.parametrize(("threads", "is_callers"), [(1, True), (2, False)])
+def test_a_single_thread_is_that_of_the_caller(bundled, threads: int, is_callers: bool):
+    seen = set()
+
+    def notes_its_thread(q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+        seen.add(threading.current_thread())
+        return np.zeros(bundled.n)
+
+    plants = [armctl.Plant(joint_torque=notes_its_thread)] * 2
+    armctl.simulate_many(bundled, "pd", Still(bundled.home, 0.01), plants, dwell=0.0, threads=threads)
+    assert (threading.current_thread() in seen) == is_callers
 
 
 def test_one_controller_serves_all_runs_and_keeps_its_own_memory(bundled):
