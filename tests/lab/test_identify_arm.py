@@ -132,7 +132,7 @@ def test_the_applied_model_has_the_identified_parameters(planar):
     q = arm.home
     v = np.full(arm.n, 0.5)
     zero = np.zeros(arm.n)
-    viscous = known.inverse_dynamics(q, v, zero) - known.inverse_dynamics(q, zero, zero) - known.coriolis(q, v)
+    viscous = known.inverse_dynamics(q, v, zero) - known.inverse_dynamics(q, zero, zero) - known.coriolis(q, v) @ v
     assert viscous == pytest.approx(0.5 * found.viscous_friction)
     assert found.friction_torque(v) == pytest.approx(0.5 * found.viscous_friction + found.coulomb_friction, rel=1e-3)
 

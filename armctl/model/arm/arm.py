@@ -6,7 +6,6 @@ import copy
 import html
 import math
 import threading
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -18,16 +17,18 @@ from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.core import units
-from armctl.core.errors import ArmctlWarning, InputError, LimitError, UnknownNameError
+from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.other_names import with_hints
-from armctl.core.pose import Pose, computed_pose
+from armctl.core.pose import Pose
 from armctl.core.tables import Table
 from armctl.core.validation import Array, IntArray, inertia_tensor, instance, matrix, number, vector
 from armctl.model.arm.actuation import Actuation
+from armctl.model.arm.arm_equations import ArmEquations
 from armctl.model.arm.core_model import tips
 from armctl.model.arm.dynamics import Dynamics, core_model
 from armctl.model.arm.joint_map import JointMap
+from armctl.model.arm.mechanics import Mechanics
 from armctl.model.arm.pinocchio_model import PinocchioModel, TipFrame, build_pinocchio_model
 from armctl.model.mjmodel.edit import add_payload
 
@@ -45,14 +46,19 @@ class Recipe(Protocol):
 
 
 class _ThreadDynamics(threading.local):
-    """One `Dynamics` for each thread: its scratch memory must not be shared."""
+    """Equations of motion for each thread: their scratch memory must not be shared."""
 
-    def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
+    def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel, home_qpos: Array):
         self.dynamics = Dynamics(model, pinocchio_model)
+        self._arguments = (model, pinocchio_model, home_qpos)
+
+    @cached_property
+    def mechanics(self) -> Mechanics:
+        return Mechanics(*self._arguments)
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class Arm(ArmEquations):
     """An arm, or several that move together, such as two arms or the fingers of a hand.
 
     Returned by `armctl.load`; immutable, with read-only arrays.
@@ -86,8 +92,22 @@ class Arm:
                 "fkine": "arm.fk(q)",
                 "ikine": "armctl.solve_ik(arm, target)",
                 "jacob0": "arm.jacobian(q)",
+                "jacob0_dot": "arm.jacobian_derivative(q, v)",
+                "jacobm": "arm.manipulability(q)",
+                "inertia": "arm.mass_matrix(q)",
+                "crba": "arm.mass_matrix(q)",
+                "M": "arm.mass_matrix(q)",
+                "rne": "arm.inverse_dynamics(q, v, a)",
+                "rnea": "arm.inverse_dynamics(q, v, a)",
+                "nle": "arm.coriolis(q, v) @ v + arm.gravity(q)",
+                "gravload": "arm.gravity(q)",
+                "aba": "arm.forward_dynamics(q, v, tau)",
+                "accel": "arm.forward_dynamics(q, v, tau)",
+                "com": "arm.center_of_mass(q)",
                 "qlim": "arm.limits",
                 "dof": "arm.n",
+                "nq": "arm.n",
+                "nv": "arm.n",
             }
         )
 
@@ -259,31 +279,6 @@ class Arm:
         unit = self.units[i]
         return f"{self.joint_names[i]}: {value:g} {unit} is outside [{low:.3f}, {high:.3f}] {unit}"
 
-    def fk(self, q: ArrayLike, tip: str | None = None) -> Pose:
-        """Forward kinematics: T_world_tip. It warns about positions of more than two turns that may be degrees.
-
-        Args:
-            tip: One of `tips`; the first one if left out.
-
-        Raises:
-            UnknownNameError: The arm has no such tip.
-        """
-        given = vector("q", q, self.n)
-        if (np.abs(given) > _TWO_TURNS).any():
-            try:
-                self.check_units("q", given)
-            except LimitError as error:
-                warnings.warn(ArmctlWarning(str(error)), stacklevel=2)
-        if tip is None:
-            return computed_pose(*self.pinocchio_model.tip(given))
-        return computed_pose(*self.pinocchio_model.further_tip(given, self._tip_number(tip)))
-
-    def _tip_number(self, tip: str) -> int:
-        """Which of the tips has a name."""
-        if tip not in self.tips:
-            raise UnknownNameError.from_known(f"tip of {self.name:.60}", tip, self.tips)
-        return self.tips.index(tip)
-
     def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:
         """Forward kinematics of many positions at once.
 
@@ -295,81 +290,17 @@ class Arm:
         """
         return tips(self.core_model, matrix("q", q, self.n))
 
-    def jacobian(self, q: ArrayLike, tip: str | None = None) -> Array:
-        """The Jacobian of a tip: its twist is J(q) v.
-
-        Args:
-            tip: One of `tips`; the first one if left out.
-
-        Returns:
-            (6, n), linear first, world axes, at the tip.
-
-        Raises:
-            UnknownNameError: The arm has no such tip.
-        """
-        return self.pinocchio_model.jacobian(vector("q", q, self.n), 0 if tip is None else self._tip_number(tip))
-
-    def mass_matrix(self, q: ArrayLike) -> Array:
-        """The joint-space mass matrix M(q), armature included, as MuJoCo's `mj_fullM`.
-
-        If joints follow a joint of the arm, M contains their inertia: it is the mass matrix of the n joints of the arm.
-
-        Returns:
-            (n, n) kg m^2, symmetric and positive definite.
-        """
-        return self._dynamics.mass_matrix(vector("q", q, self.n))
-
-    def gravity(self, q: ArrayLike) -> Array:
-        """The joint torque that holds the arm at rest at q.
-
-        This is gravity, minus gravity compensation in the model (`gravcomp`), plus the torque of joint springs. It equals
-        `inverse_dynamics(q, 0, 0)`.
-
-        Returns:
-            (n,) N m.
-        """
-        return self._dynamics.gravity(vector("q", q, self.n))
-
-    def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """The Coriolis and centrifugal joint torque C(q, v) v.
-
-        Returns:
-            (n,) N m.
-        """
-        return self._dynamics.coriolis(vector("q", q, self.n), vector("v", v, self.n))
-
-    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """The joint torque for an acceleration of the arm, in continuous time.
-
-            tau = mass_matrix(q) a + coriolis(q, v) + gravity(q) + damping(v)
-
-        Included are armature, joint damping, joint springs and gravity compensation of the MuJoCo model. Dry friction
-        (`frictionloss`), contacts and the forces at joint limits are not included: they are constraint forces, which the state
-        and the acceleration do not determine. Without these three it is MuJoCo's `mj_inverse`.
-
-        Returns:
-            (n,) N m.
-        """
-        return self._dynamics.inverse_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("a", a, self.n))
-
-    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
-        """The acceleration for a joint torque, in continuous time: the inverse of `inverse_dynamics`.
-
-        It includes and leaves out the same forces, so `forward_dynamics(q, v, inverse_dynamics(q, v, a))` is a. Torque limits
-        are not applied.
-
-        Returns:
-            (n,) rad/s^2.
-        """
-        return self._dynamics.forward_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("tau", tau, self.n))
-
     @property
     def _dynamics(self) -> Dynamics:
         return self._thread_dynamics.dynamics
 
+    @property
+    def _mechanics(self) -> Mechanics:
+        return self._thread_dynamics.mechanics
+
     @cached_property
     def _thread_dynamics(self) -> _ThreadDynamics:
-        return _ThreadDynamics(self.model, self.pinocchio_model)
+        return _ThreadDynamics(self.model, self.pinocchio_model, self.home_qpos)
 
     @cached_property
     def core_model(self) -> _core.ArmModel:

@@ -66,10 +66,6 @@ class Dynamics:
         """Coriolis, centrifugal and gravity torques, MuJoCo's `qfrc_bias`, (n,) N m."""
         return pin.nonLinearEffects(self._model, self._data, q, v).copy()
 
-    def coriolis(self, q: Array, v: Array) -> Array:
-        """Coriolis and centrifugal torques C(q, v) v, (n,) N m."""
-        return self.bias(q, v) - self.bias(q, np.zeros_like(v))
-
     def gravity(self, q: Array) -> Array:
         """The torque that holds the arm at rest: gravity minus gravity compensation, plus springs; (n,) N m."""
         tau = pin.computeGeneralizedGravity(self._model, self._data, q).copy()

@@ -71,6 +71,12 @@ class PassiveForces:
         force = x * (k[:, 0] + x * k[:, 1] + x * x * k[:, 2])
         return force if self._joint_map.is_plain else force @ self._joint_map.ratio
 
+    def spring_energy(self, q: Array) -> float:
+        """J in the springs: the integral of `spring_torque` from where they are at rest."""
+        x = self._joint_map.positions(q) - self.rest
+        k = self.stiffness
+        return float((x * x * (k[:, 0] / 2 + x * (k[:, 1] / 3 + x * k[:, 2] / 4))).sum())
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DryFriction:

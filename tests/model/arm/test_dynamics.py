@@ -246,7 +246,7 @@ def test_mass_matrix_coriolis_and_gravity_are_mujocos(synthetic: Arm):
         assert synthetic.mass_matrix(q) == pytest.approx(joint_map.reduced_matrix(full), abs=1e-9)
         bias = joint_map.reduced(moving.qfrc_bias)
         _, resting = continuous_mujoco(synthetic, q, zero)
-        assert synthetic.coriolis(q, v) == pytest.approx(bias - joint_map.reduced(resting.qfrc_bias), abs=1e-9)
+        assert synthetic.coriolis(q, v) @ v == pytest.approx(bias - joint_map.reduced(resting.qfrc_bias), abs=1e-9)
         holding = joint_map.reduced(resting.qfrc_bias - resting.qfrc_passive)
         assert synthetic.gravity(q) == pytest.approx(holding, abs=1e-9)
 
@@ -294,7 +294,7 @@ def test_inverse_dynamics_is_the_sum_of_its_documented_parts(synthetic: Arm):
     for q, v, a in states(synthetic, 10, seed=13):
         _, data = continuous_mujoco(synthetic, q, v)
         damping = -synthetic.joint_map.reduced(data.qfrc_damper)
-        parts = synthetic.mass_matrix(q) @ a + synthetic.coriolis(q, v) + synthetic.gravity(q) + damping
+        parts = synthetic.mass_matrix(q) @ a + synthetic.coriolis(q, v) @ v + synthetic.gravity(q) + damping
         assert synthetic.inverse_dynamics(q, v, a) == pytest.approx(parts, abs=1e-9)
         assert synthetic.inverse_dynamics(q, zero, zero) == pytest.approx(synthetic.gravity(q), abs=1e-12)
 
