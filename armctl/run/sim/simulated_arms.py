@@ -209,7 +209,7 @@ class _StepRecording:
         if not holds:
             self._q[rows.count] = np.nan
             self._rates[rows.count] = np.nan
-        elif self._held is None or not np.array_equal(self._held, self._stepper.q_ref):
+        elif self._held is None or not (self._held == self._stepper.q_ref).all():
             self._held = self._stepper.q_ref.copy()
             self._q[rows.count :] = self._held  # all of them: a controller may foresee its reference
             self._rates[rows.count :] = 0.0

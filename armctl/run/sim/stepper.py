@@ -202,22 +202,24 @@ class Stepper:
 
     @property
     def state(self) -> State:
-        return self._true_state()._replace(wrench=self._wrench_sensor.read(self._run.push))
-
-    def _true_state(self) -> State:
-        """The state without the wrench."""
         built = self._built
+        wrench = self._wrench_sensor.read(self._run.push)
         deflection = built.drivetrain.deflection(built.data)
-        return State(built.q, built.v, float(built.data.time), built.dt, built.continuous, None, deflection)
+        return State(built.q, built.v, float(built.data.time), built.dt, built.continuous, wrench, deflection)
 
     @property
     def measured_state(self) -> State:
         """The state as the plant's sensors measure it now; the same until the next tick."""
-        state = self._true_state()
-        if self._run.disturbances is not None:
+        built = self._built
+        time = float(built.data.time)
+        if self._run.disturbances is None:
+            q = built.q
+            v = built.v
+            deflection = built.drivetrain.deflection(built.data)
+        else:
             q, v, deflection = self._run.disturbances.measure()
-            state = state._replace(q=q, v=v, deflection=deflection)
-        return state._replace(wrench=self._wrench_sensor.measure(self._run.push, state))
+        wrench = self._wrench_sensor.measure(self._run.push, q, v, time)
+        return State(q, v, time, built.dt, built.continuous, wrench, deflection)
 
     @property
     def motor_torque(self) -> Array:

@@ -1,8 +1,8 @@
 """TickLoop: the ticks of a simulation, which the compiled core runs; a controller in Python is called by it at each of them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import repeat
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -24,6 +24,13 @@ _CALLED = (_core.TickStatus.not_finite, _core.TickStatus.repaired)  # the law wa
 _FLOAT64 = np.dtype(np.float64)
 
 Failed = Callable[[Exception], Exception]
+
+
+class _SeenRows(NamedTuple):
+    """What a controller in Python gets at the coming ticks."""
+
+    written: dict[str, Array]  # by the loop
+    read: Iterator[tuple[Array, Array, Array | None, Array | None]]  # at each tick: q, v, wrench, deflection; read-only
 
 
 class TickLoop:
@@ -69,7 +76,7 @@ class TickLoop:
             if law is None:
                 seen = self._seen_rows(own, part - rows.count)
                 end = self._run_part(
-                    self._callback(controller, own, rows, part, seen, failed), own, rows, part, disturbances, seen
+                    self._callback(controller, own, rows, part, seen, failed), own, rows, part, disturbances, seen.written
                 )
             else:
                 end = self._run_part(law, own, rows, part, disturbances, {})
@@ -128,18 +135,24 @@ class TickLoop:
                 self._wrench_sensor.took(wrench_noise, end.measured)
         return end
 
-    def _seen_rows(self, own: Traits, ticks: int) -> dict[str, Array]:
+    def _seen_rows(self, own: Traits, ticks: int) -> _SeenRows:
         """Rows for what a controller in Python gets, which it may keep."""
         n = self._built.actuation.n
-        rows: dict[str, Array] = {"q_seen_rows": np.empty((ticks, n)), "v_seen_rows": np.empty((ticks, n))}
+        motion = np.empty((2, ticks, n))
+        readable = read_only(motion)
+        written = {"q_seen_rows": motion[0], "v_seen_rows": motion[1]}
+        wrenches: Iterable[Array | None] = repeat(None)
+        deflections: Iterable[Array | None] = repeat(None)
         if own.needs_wrench:
-            rows["wrench_seen_rows"] = np.empty((ticks, WRENCH_SIZE * self._wrench_sensor.arms))
+            written["wrench_seen_rows"] = np.empty((ticks, WRENCH_SIZE * self._wrench_sensor.arms))
+            wrenches = read_only(written["wrench_seen_rows"])
         if own.needs_deflection:
-            rows["deflection_seen_rows"] = np.zeros((ticks, 2, n))
-        return rows
+            written["deflection_seen_rows"] = np.zeros((ticks, 2, n))
+            deflections = read_only(written["deflection_seen_rows"])
+        return _SeenRows(written, zip(readable[0], readable[1], wrenches, deflections, strict=False))
 
     def _callback(
-        self, controller: Controller, own: Traits, rows: TickRows, last: int, seen: dict[str, Array], failed: Failed
+        self, controller: Controller, own: Traits, rows: TickRows, last: int, seen: _SeenRows, failed: Failed
     ) -> _core.CallbackLaw:
         """A law that calls a controller at the coming ticks. Each simulation's speed depends on each line of `tick`."""
         built = self._built
@@ -148,11 +161,7 @@ class TickLoop:
         continuous = built.continuous
         n = built.actuation.n
         tau_rows = np.empty(n)
-        measured = [
-            repeat(None) if name not in seen else read_only(seen[name])
-            for name in ("q_seen_rows", "v_seen_rows", "wrench_seen_rows", "deflection_seen_rows")
-        ]
-        states = zip(*measured, strict=False)
+        states = seen.read
         setpoints = zip(*(column[rows.count : last] for column in rows.reference), strict=True)
         torque = controller.torque
         foresee = None if own.foresee is None else _foresee(own.foresee, rows)

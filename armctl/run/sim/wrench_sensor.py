@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.control.interface import WRENCH_SIZE, State
+from armctl.control.interface import WRENCH_SIZE
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.mjmodel.queries import is_below
@@ -82,13 +82,13 @@ class WrenchSensor:
             self.true[:WRENCH_SIZE] += push
         return self.true
 
-    def measure(self, push: Array | None, state: State) -> Array:
-        """What the sensors give at this tick, with noise and delay."""
+    def measure(self, push: Array | None, q: Array, v: Array, t: float) -> Array:
+        """What the sensors give at this tick, at t s, with noise and delay; q and v, (n,) each, are measured."""
         if not self._is_sampled:
             return self.read(push)
         tau = self._built.motor_torque
         noise = np.zeros_like(self.true)
-        if self._has_noise and not self.has_measured(state.t):
+        if self._has_noise and not self.has_measured(t):
             noise = self._noise(1)[0]
         self.true = np.empty_like(self.true)
         measured = np.empty_like(self.true)
@@ -97,10 +97,10 @@ class WrenchSensor:
             own = slice(WRENCH_SIZE * k, WRENCH_SIZE * (k + 1))
             joints = slice(first, last)
             tip.measure(
-                np.ascontiguousarray(state.q[joints]),
-                np.ascontiguousarray(state.v[joints]),
+                np.ascontiguousarray(q[joints]),
+                np.ascontiguousarray(v[joints]),
                 np.ascontiguousarray(tau[joints]),
-                state.t,
+                t,
                 noise[own],
                 None if k else push,
                 measured[own],
