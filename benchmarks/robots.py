@@ -147,7 +147,7 @@ def tested(installed: list[menagerie.Robot], poses: int) -> str:
         for chain in chains:
             if chain.ok:
                 base = None if chain.base == "world" else chain.base
-                rows.append(row(chain, armctl.load(robot, tip=chain.tip, base=base, hold_base=True), poses))
+                rows.append(row(chain, armctl.load(robot, tip=chain.tip, base=base), poses))
         refused = [chain for chain in chains if not chain.ok]
         text += f"### {robot}\n\n"
         if rows:

@@ -82,12 +82,12 @@ def _has_joints(path: Path) -> bool:
 def load_any(path: Path) -> armctl.Arm:
     """The arm of a file, its base held if it is free; the first of several equally long chains."""
     try:
-        return armctl.load(path, hold_base=True)
+        return armctl.load(path)
     except armctl.ModelError:
         first = next((chain for chain in armctl.chains(path) if chain), None)
         if first is None:
             raise
-        return armctl.load(path, hold_base=True, tip=first.tip)
+        return armctl.load(path, tip=first.tip)
 
 
 def gripper_of(arm: armctl.Arm) -> str:

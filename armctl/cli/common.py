@@ -59,7 +59,6 @@ def add_arm(parser: argparse.ArgumentParser, *, several_scenes: bool = False) ->
             parser.add_argument(option, action="append", default=[], help=f"{meaning}; give several to choose on the page")
         else:
             parser.add_argument(option, help=meaning)
-    parser.add_argument("--hold-base", action="store_true", help="fix the base of a floating or walking robot at its keyframe")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -104,7 +103,7 @@ def controllers_from(text: str) -> list[str]:
 def load_arm(args: argparse.Namespace) -> Arm:
     from armctl.model.loading.load import load
 
-    ends = {"tip": args.tip, "base": args.base, "hold_base": args.hold_base}
+    ends = {"tip": args.tip, "base": args.base}
     return load(args.robot, **ends, tool=args.tool, scene=args.scene, srdf=args.srdf, shapes=args.shapes)
 
 

@@ -18,7 +18,6 @@ def add(commands: common.Commands) -> None:
     doctor.add_argument("--base", help="body at the start of the chain")
     doctor.add_argument("--srdf", help="path of an SRDF")
     doctor.add_argument("--shapes", help="capsules or visual: the collision shape of links that have none")
-    doctor.add_argument("--hold-base", action="store_true", help="fix the base of a floating or walking robot at its keyframe")
     for parser in (robots, chains, info, doctor):
         common.add_json(parser)
 
@@ -65,7 +64,7 @@ def run_doctor(args: argparse.Namespace) -> int:
     from armctl.core.json_values import json_value
     from armctl.lab.diagnose import diagnose
 
-    found = diagnose(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base, srdf=args.srdf, shapes=args.shapes)
+    found = diagnose(args.robot, tip=args.tip, base=args.base, srdf=args.srdf, shapes=args.shapes)
     common.print_result(args, str(found), json_value(asdict(found)), found.reason)
     return common.DONE if found else common.NOT_REACHED
 

@@ -79,21 +79,19 @@ def scenes_by_name(paths: Sequence[str]) -> dict[str, str | None]:
 
 
 def loaded_arms(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]:
-    """The arm in a scene; all arms of a robot that has several of the same length, such as ALOHA, if no tip is given."""
+    """The arm in a scene; if it has several limbs, all of the same length, or else the first."""
     from armctl.model.loading.load import chains, load_arms
 
     args = argparse.Namespace(**{**vars(args), "scene": scene})
-    try:
-        return (common.load_arm(args),)
-    except ModelError:
-        found = [chain for chain in chains(args.robot) if chain.ok]
-        tips = [chain.tip for chain in found if len(chain.joint_names) == len(found[0].joint_names)]
-        if args.tip is not None or args.tool is not None or len(tips) < 2:
-            raise
-        with contextlib.suppress(ModelError):
-            options = {"base": args.base, "hold_base": args.hold_base, "scene": args.scene, "srdf": args.srdf}
-            return load_arms(args.robot, tips, **options, shapes=args.shapes)
-        raise
+    arm = common.load_arm(args)
+    if not arm.further_tips:
+        return (arm,)
+    found = [chain for chain in chains(args.robot) if chain.ok]
+    tips = [chain.tip for chain in found if len(chain.joint_names) == len(found[0].joint_names)]
+    with contextlib.suppress(ModelError):
+        return load_arms(args.robot, tips, base=args.base, scene=args.scene, srdf=args.srdf, shapes=args.shapes)
+    args.tip = arm.tip
+    return (common.load_arm(args),)
 
 
 def _return_large_buffers() -> None:

@@ -117,4 +117,7 @@ def controller_by_name(name: str, arm: Arm) -> Controller:
     """A controller with its default gains, by its name in `CONTROLLERS`."""
     if name not in CONTROLLERS:
         raise UnknownNameError.from_known("controller", name, CONTROLLERS)
+    from armctl.model.arm.arm import check_driven
+
+    check_driven(arm)
     return CONTROLLERS[name](arm)

@@ -78,7 +78,6 @@ def diagnose(
     *,
     tip: str | None = None,
     base: str | None = None,
-    hold_base: bool = False,
     srdf: str | os.PathLike[str] | None = None,
     shapes: str | None = None,
 ) -> Diagnosis:
@@ -87,8 +86,7 @@ def diagnose(
     Args:
         robot: A name, the path of a file, an MjSpec or an MjModel.
         tip: The site, body or geom at the end of the arm; left out, armctl finds it.
-        base: The body at the start of the chain: joints above it are held. Left out, the chain starts at the world.
-        hold_base: Whether to hold a robot that floats or walks where its keyframe puts it.
+        base: The body at the start of the chain, "planar" or "free", as for `load`.
         srdf: The path of an SRDF. Left out, armctl uses the one beside a URDF.
         shapes: "capsules" or "visual": the collision shape of links that need one and have none; left out, they get none.
 
@@ -102,7 +100,7 @@ def diagnose(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            arm = load(robot, tip=tip, base=base, hold_base=hold_base, srdf=srdf, shapes=shapes)
+            arm = load(robot, tip=tip, base=base, srdf=srdf, shapes=shapes)
         except ModelError as error:
             return Diagnosis(name, (Finding(Severity.ERROR, str(error)),), float("nan"))
     noted = [each.message.note for each in caught if isinstance(each.message, ArmctlWarning) and each.message.note is not None]

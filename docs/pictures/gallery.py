@@ -65,22 +65,16 @@ def draw(arms: list[armctl.Arm], path: Path) -> None:
 
 def load_chain(robot: str, chain: armctl.SerialChain) -> armctl.Arm:
     """The arm of a chain, with a held base."""
-    return armctl.load(robot, tip=chain.tip, base=None if chain.base == "world" else chain.base, hold_base=True)
+    return armctl.load(robot, tip=chain.tip, base=None if chain.base == "world" else chain.base)
 
 
 def options(robot: str, arms: list[armctl.Arm]) -> str:
     """What `armctl view` needs besides the name of a robot; it shows all arms of equal length if none is named."""
     tips = [arm.tip for arm in arms if arm.n == arms[0].n]
-    held = " --hold-base"
-    one = f" --tip {tips[0]}"
-    for words, tip, hold_base in (("", None, False), (held, None, True), (one, tips[0], False), (one + held, tips[0], True)):
+    for words, tip in (("", None), (f" --tip {tips[0]}", tips[0])):
         with contextlib.suppress(armctl.ArmctlError):
-            armctl.load(robot, tip=tip, hold_base=hold_base)
+            armctl.load(robot, tip=tip)
             return words
-        if tip is None and len(tips) > 1:
-            with contextlib.suppress(armctl.ArmctlError):
-                armctl.load_arms(robot, tips, hold_base=hold_base)
-                return words
     raise ValueError(f"{robot}: no command shows it")
 
 

@@ -103,10 +103,10 @@ def test_the_help_of_tune_lists_those_that_it_takes(capsys):
 
 
 def test_messages_name_options_and_not_arguments_of_python():
-    args = argparse.Namespace(robot="panda", tip=None, hold_base=False, run=main)
+    args = argparse.Namespace(robot="panda", tip=None, base=None, run=main)
     assert with_options("choose one with tip=: a, b", args) == "choose one with --tip: a, b"
-    assert with_options("hold_base=True holds it, tip=hand and tip_offset= too", args) == (
-        "--hold-base holds it, --tip hand and tip_offset= too"
+    assert with_options("base=free moves it, tip=hand and tip_offset= too", args) == (
+        "--base free moves it, --tip hand and tip_offset= too"
     )
     assert with_options("tip: no such body", args) == "--tip: no such body"
     assert with_options("robot: no such file", args) == "robot: no such file"

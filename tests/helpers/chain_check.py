@@ -81,7 +81,7 @@ def arms_of(robot: str) -> Iterator[tuple[str, Arm]]:
         waiting = [chain for chain in waiting if chain not in together]
         base = together[0].base
         tips = [chain.tip for chain in together]
-        for arm in load_arms(robot, tips, base=None if base == "world" else base, hold_base=True):
+        for arm in load_arms(robot, tips, base=None if base == "world" else base):
             yield base, arm
 
 

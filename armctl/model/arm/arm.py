@@ -79,7 +79,8 @@ class Arm(ArmEquations):
         recipe: How its model was made, for plants with further elements; None for an arm of a compiled model.
         unchecked_links: The links of the robot without a collision shape that they need: as long as there are any, no motion is
             proved free of contact. Empty if contacts can be checked.
-        further_tips: The tips besides the first one, where `load` was given `tips`.
+        further_tips: The tips besides the first one, of a robot with several.
+        base: "fixed", or "planar" or "free" as `load` was asked for: then its first three or six joints move the base.
     """
 
     if not TYPE_CHECKING:
@@ -127,6 +128,7 @@ class Arm(ArmEquations):
     recipe: Recipe | None = None
     unchecked_links: tuple[str, ...] = ()
     further_tips: tuple[TipFrame, ...] = ()
+    base: str = "fixed"
 
     @property
     def n(self) -> int:
@@ -418,6 +420,15 @@ def with_model(arm: Arm, model: mujoco.MjModel) -> Arm:
 def check_arm(arm: object) -> None:
     """Raises InputError if an argument is not an arm."""
     instance("arm", arm, Arm, f"armctl.load({arm if isinstance(arm, str) else 'panda'!r}) returns one")
+
+
+def check_driven(arm: Arm) -> None:
+    """Raises InputError for an arm on a free base, which no motor holds."""
+    if arm.base == "free":
+        raise InputError(
+            f"arm: no motor holds the free base of {arm.name:.60}: its joints have kinematics, plans and timing, but no "
+            "torques; load it with base='planar', or held, to simulate and control it"
+        )
 
 
 def check_one_tip(arm: Arm) -> None:

@@ -6,13 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
+import mujoco
+
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, instance, shown
 from armctl.model.loading.actuators import actuator_notes, dc_motors
+from armctl.model.loading.base import base_joints
 from armctl.model.loading.catalog import Source
-from armctl.model.loading.chain import chain_to, end_note, find_chain
-from armctl.model.loading.joint_limits import JointData, datasheet_limits, torque_limits
+from armctl.model.loading.chain import chain_to, end_note, find_chain, several_limbs
+from armctl.model.loading.joint_limits import JointData, datasheet_limits, default_speeds, torque_limits
 from armctl.model.loading.tip import Tip, axis_note, named_tip, tip_of_chain
 from armctl.model.loading.unit_checks import unit_doubts
 from armctl.model.loading.urdf import speed_limits
@@ -29,6 +32,7 @@ class ArmEnds:
     base: str | None = None  # the name of the body that the arm stands on; None for the world
     tip_offset: Pose | None = None  # the tip in that element's frame; None for the frame itself
     further_tips: tuple[str, ...] = ()  # the names of other tips of the same arm
+    moving_base: str | None = None  # "planar" or "free": the base has joints of its own, which come before the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +50,7 @@ class ArmPlan:
     notes: tuple[str, ...]  # what had to be assumed, one sentence each
     info_notes: tuple[str, ...]  # what needs no warning, one sentence each
     further_tips: tuple[Tip, ...] = ()  # numbered as the tip
+    base: str = "fixed"  # or "planar" or "free"
 
     def renumbered(self, number: Callable[[int], int]) -> ArmPlan:
         """The same arm in another model, in which the bodies of the tips have other numbers."""
@@ -55,14 +60,37 @@ class ArmPlan:
 
 def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnds]) -> list[ArmPlan]:
     """The arms to some tips from some bases of a model with its own actuators; errors as those of `armctl.load`."""
-    chains = [find_ends(source, analysis, each) for each in ends]
-    for (one, _), (other, _) in permutations(chains, 2):
-        if reason := _why_dependent(analysis, one, other):
+    arms = [_chains_of(source, analysis, each) for each in ends]
+    for one, other in permutations(arms, 2):
+        if reason := _why_dependent(analysis, one[0][0], other[0][0]):
             raise ModelError(reason)
-    return [
-        _described(source, analysis, [(joints, tip.moved(each.tip_offset)), *_further_chains(analysis, each)], each)
-        for (joints, tip), each in zip(chains, ends, strict=True)
-    ]
+    return [_described(source, analysis, chains, each) for chains, each in zip(arms, ends, strict=True)]
+
+
+def _chains_of(source: Source, analysis: Transmissions, ends: ArmEnds) -> list[tuple[Joints, Tip]]:
+    """The joints and the tip of each chain of an arm: one, those to the caller's tips, or all limbs of a robot with several."""
+    before = base_joints(analysis.model, ends.moving_base)
+    limbs = several_limbs(analysis, _base(analysis, ends), before) if ends.tip is None and ends.base is None else []
+    if limbs and (source.row is None or source.row.tip is None):
+        chains = _limbs_to_tips(analysis.model, limbs)
+    else:
+        chains = [find_ends(source, analysis, ends), *_further_chains(analysis, ends)]
+    chains = [(before + joints, tip) for joints, tip in chains]
+    joints, tip = chains[0]
+    return [(joints, tip.moved(ends.tip_offset)), *chains[1:]]
+
+
+def _limbs_to_tips(model: mujoco.MjModel, limbs: Sequence[Joints]) -> list[tuple[Joints, Tip]]:
+    """Each limb with the tip at its end; of two tips of one name the second is called by its body."""
+    chains: list[tuple[Joints, Tip]] = []
+    names: set[str] = set()
+    for joints in limbs:
+        tip = tip_of_chain(model, joints)
+        if tip.name in names:
+            tip = replace(tip, name=body_name(model, int(model.jnt_bodyid[joints[-1]])))
+        names.add(tip.name)
+        chains.append((joints, tip))
+    return chains
 
 
 def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[Joints, Tip]:
@@ -85,6 +113,8 @@ def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[J
 
 def _base(analysis: Transmissions, ends: ArmEnds) -> int:
     """The body that an arm stands on; 0 for the world."""
+    if ends.moving_base is not None:
+        return int(analysis.model.jnt_bodyid[base_joints(analysis.model, ends.moving_base)[0]])
     if ends.base is None:
         return 0
     instance("base", ends.base, str, "give the name of a body")
@@ -110,7 +140,13 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
     (chain, tip), *others = chains
     joints = _depth_first([each for each, _ in chains])
     transmissions = analysis.of_chain(joints)
-    datasheet = speed_limits(source.urdf, model, transmissions) or _datasheet(source, analysis, [each for each, _ in chains])
+    before = base_joints(model, ends.moving_base)
+    own = transmissions[len(before) :]
+    datasheet = speed_limits(source.urdf, model, own) or _datasheet(
+        source, analysis, [each[len(before) :] for each, _ in chains]
+    )
+    if before and datasheet is not None:
+        datasheet = datasheet.behind(default_speeds(model, transmissions[: len(before)]))
     motors = dc_motors(source, model, transmissions)
     torques = torque_limits(model, transmissions, datasheet, motors, "actfrcrange" if source.urdf is None else "URDF effort")
     warned, quiet = actuator_notes(analysis, joints, transmissions, motors)
@@ -135,6 +171,7 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
         ),
         info_notes=tuple(quiet),
         further_tips=tuple(other for _, other in others),
+        base=ends.moving_base or "fixed",
     )
 
 

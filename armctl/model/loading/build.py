@@ -63,4 +63,5 @@ def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Se
         default_limits=defaults,
         recipe=recipe,
         further_tips=tuple(frames[1:]),
+        base=plan.base,
     )

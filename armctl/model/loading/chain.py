@@ -88,6 +88,32 @@ def all_chains(analysis: Transmissions) -> list[SerialChain]:
     return sorted(chains, key=lambda chain: (not chain.ok, -len(chain.joint_names)))
 
 
+def several_limbs(analysis: Transmissions, base: int = 0, before: Joints = ()) -> list[Joints]:
+    """The limbs of a robot that is more than one arm: two arms, a hand, legs. Empty for an arm, also with a gripper or wheels.
+
+    They start at a base, the world if left out, behind some joints.
+
+    A robot is more than an arm if it has no longest chain, or if another limb has at least half as many joints of its own.
+    """
+    model = analysis.model
+    runs, _ = _drivable_runs(analysis)
+    counts = branch_counts(model)
+    behind = {run.joints[len(before) :] for run in _longest(runs) if run.base == 0 and run.joints[: len(before)] == before}
+    ends = {joints[: _end_of_arm(analysis, joints, counts)] for joints in behind if joints}
+    limbs = sorted({end for end in ends if not any(end == other[: len(end)] and end != other for other in ends)})
+    if len(limbs) < 2:
+        return []
+    try:
+        arm = find_chain(analysis, base)
+    except ModelError:
+        return limbs
+    for limb in limbs:
+        shared = sum(one == other for one, other in zip(limb, arm, strict=False))
+        if shared < len(arm) and 2 * (len(limb) - shared) >= len(arm) - shared:
+            return limbs
+    return []
+
+
 def find_chain(analysis: Transmissions, base: int = 0) -> Joints:
     """The arm of a model without a description: its longest run of actuated joints from the base, the world if left out.
 
@@ -272,7 +298,7 @@ def _carries_a_tip(model: mujoco.MjModel, body: int) -> bool:
 def _free_base_reason(model: mujoco.MjModel, joint: int) -> str:
     body = shown(body_name(model, int(model.jnt_bodyid[joint])))
     name = shown(joint_name(model, joint))
-    return f"the base {body} is free (joint {name}); hold_base=True holds it where its keyframe puts it"
+    return f"the base {body} is free (joint {name}); give the file or the MjSpec: load holds it where its keyframe puts it"
 
 
 def _why_no_arm(analysis: Transmissions, base: int) -> str:

@@ -131,11 +131,11 @@ ROWS: dict[str, Row] = {
 # What armctl can do with a robot, by its category in Menagerie's registry.
 BY_CATEGORY: dict[str, str] = {
     "arm": "an arm: load",
-    "dual_arm": "two arms: load with tip=, or load_arms",
-    "quadruped": "legs: load with hold_base=True and tip=, or load_arms",
-    "biped": "legs, as far as no rod couples them: load with hold_base=True and tip=",
-    "humanoid": "arms and legs: load with hold_base=True and tip=, or load_arms",
-    "mobile_manipulator": "an arm on a held base: load with hold_base=True and, where there are several chains, tip=",
+    "dual_arm": "two arms: load",
+    "quadruped": "four legs: load",
+    "biped": "legs, as far as no rod couples them: load",
+    "humanoid": "arms and legs: load",
+    "mobile_manipulator": "an arm on a base: load",
     "end_effector": "a tool: load(ARM, tool=...); fingers with a motor at each joint are chains",
     "mobile_base": "nothing: wheels, but no arm",
     "drone": "nothing: thrusters, but no arm",
@@ -145,12 +145,12 @@ BY_CATEGORY: dict[str, str] = {
 
 # Where a robot differs from its category, by its own MJCF.
 BY_ROBOT: dict[str, str] = {
-    "hello_robot_stretch": "an arm: load with hold_base=True; its four slides, tied to each other, count as one joint",
-    "hello_robot_stretch_3": "an arm: load with hold_base=True; its four slides, tied to each other, count as one joint",
+    "hello_robot_stretch": "an arm: load; its four slides, tied to each other, count as one joint",
+    "hello_robot_stretch_3": "an arm: load; its four slides, tied to each other, count as one joint",
     "google_robot": "an arm: load",
     "robotiq_2f85": "a tool: load(ARM, tool=...), then sim.gripper",
     "robotiq_2f85_v4": "a tool: load(ARM, tool=...), then sim.gripper",
-    "boston_dynamics_spot": "legs, and an arm in its entry point spot_arm: load with hold_base=True and tip=",
+    "boston_dynamics_spot": "legs, and an arm in its entry point spot_arm: load",
     "stanford_tidybot": "an arm on a base that slides and turns, ten joints in all: load",
 }
 

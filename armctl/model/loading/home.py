@@ -10,10 +10,7 @@ from armctl.model.mjmodel.queries import (
     Joints,
     actuator_name,
     body_name,
-    is_below,
-    is_free,
     is_on_joint,
-    joint_actuators,
     joint_range,
 )
 
@@ -108,21 +105,3 @@ def _own_key(model: mujoco.MjModel, name: str) -> int:
 
 def _key(model: mujoco.MjModel, name: str) -> int:
     return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, name)
-
-
-def remove_free_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Removes the free joint of every body that carries actuated joints, in place; its keyframe says where it stays."""
-    qpos = keyframe_qpos(model)
-    actuated = [int(model.jnt_bodyid[joint]) for joint in joint_actuators(model)]
-    joints = {j.id: j for j in spec.joints}
-    bodies = {b.id: b for b in spec.bodies}
-    for joint in range(model.njnt):
-        body = int(model.jnt_bodyid[joint])
-        if not is_free(model, joint) or not any(is_below(model, other, body) for other in actuated):
-            continue
-        start = int(model.jnt_qposadr[joint])
-        bodies[body].set_frame(spec.worldbody.add_frame())  # the keyframe's pose is in the world, whatever frame the file uses
-        bodies[body].pos = qpos[start : start + 3]
-        bodies[body].quat = qpos[start + 3 : start + 7]
-        bodies[body].alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        spec.delete(joints[joint])

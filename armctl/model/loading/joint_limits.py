@@ -21,6 +21,7 @@ from armctl.model.mjmodel.transmissions import Mimic, Transmission
 
 DEFAULT_SPEED = {mujoco.mjtJoint.mjJNT_HINGE: 2.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.5}  # rad/s, m/s
 DEFAULT_ACCELERATION_TIME_S = 0.05  # from zero to the greatest acceleration
+SPEEDS_PER_S = 10.0  # the greatest default acceleration: so many times the speed in a second
 _ASSUMED_ACCELERATION = 10.0  # rad/s^2 beyond gravity, of a motor whose torque nothing specifies
 _TORQUE_SAMPLES = 50  # configurations in which gravity is evaluated
 # As numbers: `numpy.int32(3) in (mjtDyn.mjDYN_FILTER,)` is False, although the two compare equal with ==.
@@ -42,6 +43,19 @@ class JointData:
     j_max: Array | None = None  # (n,) rad/s^3, or None
     tau_max: Array | None = None  # (n,) N m, or None
     has_defaults: bool = False  # whether v_max is a default for some of them
+
+    def behind(self, v_max: Array) -> Self:
+        """The limits of these joints behind others with default speeds (k,), accelerations and jerks."""
+        a_max = SPEEDS_PER_S * v_max
+        first = {
+            "v_max": v_max,
+            "a_max": a_max,
+            "j_max": a_max / DEFAULT_ACCELERATION_TIME_S,
+            "tau_max": np.full(len(v_max), np.inf),
+        }
+        own = {name: getattr(self, name) for name in first}
+        limits = {name: None if own[name] is None else np.concatenate([first[name], own[name]]) for name in first}
+        return replace(self, **limits, has_defaults=True)
 
     def repeated(self, arms: int) -> Self:
         """The limits of so many equal arms, one after the other."""
@@ -100,7 +114,8 @@ def torque_limits(
     if unknown.any() and datasheet is not None and datasheet.tau_max is not None:
         tau[unknown] = datasheet.tau_max[unknown]
         sources.add(datasheet.source)
-    elif unknown.any():
+        unknown = ~np.isfinite(tau)
+    if unknown.any():
         for i in np.flatnonzero(unknown).tolist():
             _check_sum_is_known(model, transmissions[i])
             _check_voltage_is_known(model, transmissions[i], motors[i])
@@ -144,7 +159,7 @@ def joint_limits(
             inertia = np.abs(M).sum(axis=1)
             _check_inertia(model, transmissions, inertia, gravity)
             headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
-            a_max = np.minimum(0.5 * headroom / inertia, 10.0 * v_max)
+            a_max = np.minimum(0.5 * headroom / inertia, SPEEDS_PER_S * v_max)
     if j_max is None:
         j_max = a_max / DEFAULT_ACCELERATION_TIME_S
     sources = {k: "default" if getattr(given, k) is None else given.source for k in ("v_max", "a_max", "j_max")}

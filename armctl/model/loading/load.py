@@ -19,15 +19,16 @@ import mujoco
 from armctl.core.errors import ArmctlWarning, InputError, MissingShapeWarning, ModelError, few_names
 from armctl.core.note import Note, Severity
 from armctl.core.pose import Pose
-from armctl.core.validation import flag, instance, shown
+from armctl.core.validation import instance, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.arm.parity import check_parity
 from armctl.model.loading.added_shapes import CAPSULES, VISUAL, add_shapes, read_shapes, visual_links
 from armctl.model.loading.arm_plan import ArmEnds, ArmPlan, describe_arms, find_ends
+from armctl.model.loading.base import BASE_JOINTS, add_base_joints, hold_free_bases
 from armctl.model.loading.build import make_arms
 from armctl.model.loading.catalog import Source, locate
 from armctl.model.loading.chain import SerialChain, all_chains
-from armctl.model.loading.home import home_qpos, remove_free_joints
+from armctl.model.loading.home import home_qpos
 from armctl.model.loading.inertias import corrected_model
 from armctl.model.loading.link_shapes import fixed_without_shape, names_of, unchecked_links
 from armctl.model.loading.model_checks import (
@@ -86,7 +87,7 @@ class _LoadRecipe:
 
     robot: str | os.PathLike[str] | mujoco.MjSpec  # as for `load`
     ends: tuple[ArmEnds, ...]  # where each arm begins and ends
-    hold_base: bool  # as for `load`
+    moving_base: str | None  # "planar" or "free"; None for one that is held
     tool: str | os.PathLike[str] | mujoco.MjSpec | None  # as for `load`
     scene: Scene | str | os.PathLike[str] | None  # as for `load`
     srdf: str | os.PathLike[str] | None  # as for `load`
@@ -106,7 +107,7 @@ class _LoadRecipe:
         if not self.is_complete:
             raise ModelError("an arm of an MjSpec gets no further elements in another process; load it from a file")
         source = locate(self.robot)
-        robot = _read(source, self.hold_base, self.srdf, visual=self.shapes == VISUAL)
+        robot = _read(source, self.moving_base, self.srdf, visual=self.shapes == VISUAL)
         spec = robot.spec
         ends = [robot.resolved(each) for each in self.ends]
         unread = robot.unread
@@ -157,7 +158,6 @@ def load(
     tips: Sequence[str] | None = None,
     tip_offset: Pose | None = None,
     base: str | None = None,
-    hold_base: bool = False,
     tool: str | os.PathLike[str] | mujoco.MjSpec | None = None,
     scene: Scene | str | os.PathLike[str] | None = None,
     srdf: str | os.PathLike[str] | None = None,
@@ -165,21 +165,24 @@ def load(
 ) -> Arm:
     """An arm: any serial chain of any robot, or several that move together, its actuators turned into torque motors.
 
-    All other joints are held where the model's keyframe puts them.
+    A robot with one arm gives this arm. Of a robot with several limbs, such as two arms, a hand, a quadruped or a humanoid, it
+    is all of them: all joints with a motor, and a tip at each end. All other joints are held where the model's keyframe puts
+    them, and so is a base that floats or walks.
 
     Args:
         robot: The bundled arm ("robot_arm_3dof"), an alias ("panda"), a Menagerie name ("franka_emika_panda", or
             "franka_emika_panda/panda_nohand" for another of its entry points), a name of the package robot_descriptions
             ("panda_description"), the path of an .xml, .urdf or .xacro file, an MjSpec, or an MjModel. An MjSpec or MjModel is
             copied and never changed. A compiled MjModel cannot get further elements: its arm has no target marker unless the
-            model has a mocap body named "target", and `hold_base`, `tool`, `scene`, `srdf` and `shapes` need the MjSpec or the
-            file.
+            model has a mocap body named "target", and a base that moves, `tool`, `scene`, `srdf` and `shapes` need the MjSpec
+            or the file.
         tip: The site, body or geom at the end of the chain. Left out, armctl finds the chain and its tip.
         tips: Instead of `tip`, the ends of several chains of one arm, such as both hands of a robot. The first one is the tip
             of calls that take no other; joints that two chains share count once.
         tip_offset: The tip, or the first one, in that element's frame.
-        base: The body at the start of the chain: joints above it are held. Left out, the chain starts at the world.
-        hold_base: Whether to hold a robot that floats or walks, such as a quadruped, where its keyframe puts it.
+        base: The body at the start of the chain: joints above it are held. Left out, the chain starts at the world. "planar"
+            gives the robot's base joints of its own along x, along y and about z, "free" along and about all axes (yaw, pitch,
+            roll), all at zero where the keyframe puts it. A free base has no motors in a simulation.
         tool: The gripper or hand to mount at the tip: by name, MJCF file or MjSpec. The tip is then the tool's.
         scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
         srdf: The path of an SRDF, with allowed contacts, the home configuration, and groups for `tip`. Left out,
@@ -206,8 +209,9 @@ def load(
         if tool is not None and others:
             raise InputError("tool: it is mounted at the tip of an arm with one tip; give one tip")
         further_tips = tuple(others)
-    ends = [ArmEnds(tip, base, tip_offset, further_tips=further_tips)]
-    return _loaded(robot, ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)[0]
+    moving_base = base if isinstance(base, str) and base in BASE_JOINTS else None
+    ends = [ArmEnds(tip, None if moving_base else base, tip_offset, further_tips, moving_base)]
+    return _loaded(robot, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)[0]
 
 
 def load_arms(
@@ -215,7 +219,6 @@ def load_arms(
     tips: Sequence[str],
     *,
     base: str | Sequence[str | None] | None = None,
-    hold_base: bool = False,
     scene: Scene | str | os.PathLike[str] | None = None,
     srdf: str | os.PathLike[str] | None = None,
     shapes: str | None = None,
@@ -227,7 +230,6 @@ def load_arms(
         tips: The site, body or geom at the end of each chain.
         base: The body at the start of all chains, or one for each: joints above it are held. Left out (None), they start at
             the world.
-        hold_base: Whether to hold a robot that floats or walks where its keyframe puts it.
         scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
         srdf: The path of an SRDF. Left out, armctl uses the one beside a URDF.
         shapes: "capsules" or "visual": the collision shape of links that need one and have none; left out, they get none.
@@ -255,7 +257,7 @@ def load_arms(
     if len(bases) != len(tips):
         raise InputError(f"base: {len(bases)} given for {len(tips)} tips; give one for each, or one for all")
     ends = [ArmEnds(named_tip, named_base) for named_tip, named_base in zip(tips, bases, strict=True)]
-    return _loaded(robot, ends, hold_base=hold_base, tool=None, scene=scene, srdf=srdf, shapes=shapes)
+    return _loaded(robot, ends, moving_base=None, tool=None, scene=scene, srdf=srdf, shapes=shapes)
 
 
 def _names(what: str, names: Sequence[str]) -> list[str]:
@@ -282,7 +284,7 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
     if isinstance(robot, mujoco.MjModel):
         return all_chains(Transmissions(robot))
     source = locate(robot)
-    spec = _read(source, hold_base=False).spec
+    spec = _read(source, None, hold_base=False).spec
     return all_chains(Transmissions(source.compile_without_textures(spec)))
 
 
@@ -290,17 +292,16 @@ def _loaded(
     robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
     ends: Sequence[ArmEnds],
     *,
-    hold_base: bool,
+    moving_base: str | None,
     tool: str | os.PathLike[str] | mujoco.MjSpec | None,
     scene: Scene | str | os.PathLike[str] | None,
     srdf: str | os.PathLike[str] | None,
     shapes: str | None,
 ) -> tuple[Arm, ...]:
     """The arms with these ends. A specification is copied, since a caller can change it later."""
-    hold_base = flag("hold_base", hold_base)
     shapes = read_shapes(shapes)
     if isinstance(robot, mujoco.MjModel):
-        additions = {"hold_base": hold_base or None, "tool": tool, "scene": scene, "srdf": srdf, "shapes": shapes}
+        additions = {"base": moving_base, "tool": tool, "scene": scene, "srdf": srdf, "shapes": shapes}
         for what, addition in additions.items():
             if addition is not None:
                 raise InputError(
@@ -318,7 +319,7 @@ def _loaded(
         prepared = _with_shape_notes(prepared, model, _joints(plans), unchecked)
         return _arms(source.name, prepared, [*corrections, *model_notes(model)], None)
     kept = locate(robot).copied_spec() if isinstance(robot, mujoco.MjSpec) else robot
-    recipe = _LoadRecipe(kept, tuple(ends), hold_base=hold_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
+    recipe = _LoadRecipe(kept, tuple(ends), moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
     return _arms(*recipe.prepared(), recipe)
 
 
@@ -363,12 +364,23 @@ def _with_shape_notes(
     return replace(prepared, info_notes=info_notes, unchecked_links=names, shape_note=note)
 
 
-def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None = None, *, visual: bool = False) -> _RobotSpec:
+def _read(
+    source: Source,
+    moving_base: str | None,
+    srdf: str | os.PathLike[str] | None = None,
+    *,
+    hold_base: bool = True,
+    visual: bool = False,
+) -> _RobotSpec:
     """A robot's specification, with what its SRDF says, and what is noted about it."""
     spec, notes, unread, drawn = source.read(visual=visual)
     notes = [*notes, *add_missing_motors(spec)]
-    if hold_base:
-        remove_free_joints(spec, source.compile_without_textures(spec))
+    if moving_base is not None or (hold_base and any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)):
+        model = source.compile_without_textures(spec)
+        held = hold_free_bases(spec, model)
+        if moving_base is not None:
+            with _naming(source.name):
+                add_base_joints(spec, model, moving_base, held)
     if srdf is not None:
         instance("srdf", srdf, (str, os.PathLike), "give the path of an SRDF")
         semantics = read_srdf(Path(srdf))

@@ -21,7 +21,7 @@ from armctl.core.pose import Pose, computed_pose
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, read_only, vector
 from armctl.model.arm.actuation import Actuation
-from armctl.model.arm.arm import Arm
+from armctl.model.arm.arm import Arm, check_driven
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.run.execution.recorder import Recorder, ReferenceTips, TickRows
@@ -114,6 +114,8 @@ class Stepper:
 
     def __init__(self, arms: Sequence[Arm], plant: Plant, observer: Observer | None = None):
         """A stepper of arms that share no joint, at home, at rest. Payload and pushes act at the tip of the first."""
+        for arm in arms:
+            check_driven(arm)
         self._observer = observer
         self._one_thread = _OneThread()
         self._home = np.concatenate([arm.home for arm in arms])

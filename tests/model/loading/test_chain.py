@@ -98,7 +98,7 @@ REFUSED = {
     "free base": (
         f'<body name="trunk"><freejoint name="root"/><geom size="0.1" mass="1"/>{limb("a b")}</body>',
         motors("a b"),
-        r"the base 'trunk' is free \(joint 'root'\); hold_base=True holds it",
+        r"the base 'trunk' is free \(joint 'root'\); give the file",
     ),
     "first joint passive": (
         limb("a b"),
@@ -207,11 +207,11 @@ def test_a_chain_loads_by_base_and_tip_or_says_why_not(robot: str):
     chains = armctl.chains(robot)
     for chain in [next((c for c in chains if c.ok), None), next((c for c in reversed(chains) if not c.ok), None)]:
         if chain is not None and chain.ok:
-            arm = armctl.load(robot, base=chain.base, tip=chain.tip, hold_base=True)
+            arm = armctl.load(robot, base=chain.base, tip=chain.tip)
             assert arm.joint_names == chain.joint_names
         elif chain is not None:
             with pytest.raises(armctl.ModelError, match=r"coupled|shares|no actuator|ball|loop"):
-                armctl.load(robot, base=chain.base, tip=chain.tip, hold_base=True)
+                armctl.load(robot, base=chain.base, tip=chain.tip)
 
 
 def test_chain_to_agrees_with_find_chain():

@@ -290,7 +290,7 @@ STANDING = '<keyframe><key name="home" qpos="0.1 0.2 0.6 0.8 0 0.6 0 0.3 -0.4 1 
 
 
 def test_a_held_base_is_where_its_keyframe_puts_it_and_all_else_keeps_its_place(load):
-    arm = load(WALKER, motors("a b") + STANDING, hold_base=True)
+    arm = load(WALKER, motors("a b") + STANDING)
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.home_qpos
     mujoco.mj_forward(arm.model, data)
@@ -303,7 +303,7 @@ def test_a_held_base_is_where_its_keyframe_puts_it_and_all_else_keeps_its_place(
 
 def test_a_held_base_without_a_keyframe_is_where_it_is_drawn(load):
     trunk = f'<body name="trunk" pos="0.1 0 0"><freejoint/><geom size="0.1" mass="5"/>{limb("a b")}</body>'
-    arm = load(f'<frame pos="0 0 1" euler="0 0 1.5707963267948966">{trunk}</frame>', motors("a b"), hold_base=True)
+    arm = load(f'<frame pos="0 0 1" euler="0 0 1.5707963267948966">{trunk}</frame>', motors("a b"))
     data = mujoco.MjData(arm.model)
     mujoco.mj_forward(arm.model, data)
     assert data.body("trunk").xpos == pytest.approx([0, 0.1, 1])
@@ -311,7 +311,7 @@ def test_a_held_base_without_a_keyframe_is_where_it_is_drawn(load):
 
 
 def test_a_held_base_stays_while_its_limb_moves(load):
-    arm = load(WALKER, motors("a b") + STANDING, hold_base=True)
+    arm = load(WALKER, motors("a b") + STANDING)
     simulation = armctl.Simulation(arm)
     before = simulation.data.body("trunk").xpos.copy()
     log = simulation.run(armctl.move_j(arm, arm.home, arm.home + 0.3))
@@ -399,7 +399,6 @@ def test_the_model_of_an_arm_is_mujocos(arm: armctl.Arm):
 
 
 WRONG_TYPES = {
-    "hold_base": np.ones(3),
     "scene": 3,
     "tool": 4,
     "tip_offset": [0, 0, 1],

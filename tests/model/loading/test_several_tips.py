@@ -32,7 +32,7 @@ def arm(request):
         return armctl.load(mujoco.MjSpec.from_string(TORSO), tips=ROBOTS[request.param])
     if not at_hand(request.param):
         pytest.skip(f"{request.param}: {MISSING}")
-    return armctl.load(request.param, tips=ROBOTS[request.param], hold_base=True)
+    return armctl.load(request.param, tips=ROBOTS[request.param])
 
 
 pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")

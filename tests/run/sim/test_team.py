@@ -196,12 +196,12 @@ def test_a_wrong_call_of_a_team_is_one_sentence(pair, call, sentence: str):
 
 TEAMS = {
     "aloha": (["left/gripper", "right/gripper"], {}),
-    "anybotics_anymal_c/anymal_c": (["LF_SHANK", "RF_SHANK", "LH_SHANK", "RH_SHANK"], {"hold_base": True}),
-    "unitree_go1/go1": (["FR", "FL", "RR", "RL"], {"hold_base": True}),
-    "unitree_go2/go2": (["FR", "FL", "RR", "RL"], {"hold_base": True}),
+    "anybotics_anymal_c/anymal_c": (["LF_SHANK", "RF_SHANK", "LH_SHANK", "RH_SHANK"], {}),
+    "unitree_go1/go1": (["FR", "FL", "RR", "RL"], {}),
+    "unitree_go2/go2": (["FR", "FL", "RR", "RL"], {}),
     "unitree_h1/h1": (
         ["left_elbow_link", "right_elbow_link", "left_ankle_link", "right_ankle_link"],
-        {"hold_base": True, "base": ["torso_link", "torso_link", None, None]},
+        {"base": ["torso_link", "torso_link", None, None]},
     ),
     "wonik_allegro/left_hand": (["ff_tip", "mf_tip", "rf_tip", "th_tip"], {}),
     "shadow_hand/left_hand": (
