@@ -210,7 +210,8 @@ def load(
             raise InputError("tool: it is mounted at the tip of an arm with one tip; give one tip")
         further_tips = tuple(others)
     moving_base = base if isinstance(base, str) and base in BASE_JOINTS else None
-    ends = [ArmEnds(tip, None if moving_base else base, tip_offset, further_tips, moving_base)]
+    named = None if moving_base else base
+    ends = [ArmEnds(tip=tip, base=named, tip_offset=tip_offset, further_tips=further_tips, moving_base=moving_base)]
     return _loaded(robot, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)[0]
 
 
