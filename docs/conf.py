@@ -27,7 +27,8 @@ autoclass_content = "both"
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "BoolArray", "IntArray", "TextArray")}
-autodoc_preserve_defaults = True
+# Defaults as values: the signatures of functions with options have more arguments than their source.
+autodoc_preserve_defaults = False
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True

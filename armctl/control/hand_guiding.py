@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armctl.control.interface import State
+from armctl.core.faces import face
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.model.arm.arm import Arm, check_arm
@@ -36,6 +37,9 @@ class HandGuiding:
         self._loss = np.array(DryFriction.from_model(arm.model, arm.joint_map).loss)
         span = arm.limits.q_max - arm.limits.q_min
         self._margin = np.minimum(_RANGE_SHARE * span, _MAX_RANGE_MARGIN)
+
+    def __repr__(self) -> str:
+        return face(self, friction_share=self.friction_share)
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque that holds the arm's weight and friction; the setpoint has no effect.

@@ -13,6 +13,7 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.errors import InputError
+from armctl.core.faces import face, gains_of
 from armctl.core.other_names import check_keywords
 from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array, as_array, flag, instance, integer, number, shown
@@ -185,6 +186,9 @@ class CompiledController(ABC):
         object.__setattr__(self, name, value)
         if not name.startswith("_"):
             object.__setattr__(self, "_period", None)
+
+    def __repr__(self) -> str:
+        return face(self, **gains_of(self))
 
     @property
     def n(self) -> int:

@@ -34,6 +34,9 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 8,
     "legend.frameon": False,
     "lines.linewidth": 1.5,
+    "pdf.fonttype": 42,  # TrueType, which journals ask for; the default is refused by some
+    "ps.fonttype": 42,
+    "svg.fonttype": "none",  # text stays text, which can be searched and edited
     "lines.solid_capstyle": "round",
     "savefig.dpi": 120,
     "svg.hashsalt": "armctl",

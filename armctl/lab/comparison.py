@@ -24,6 +24,8 @@ from armctl.report.report import Report, best_cells, contacts_in_words, report_t
 from armctl.run.sim.plant import WITH_ENCODER, Plant
 from armctl.run.sim.simulate import rows_as_runs, run_many
 
+_MAX_SHOWN_REPORTS = 8  # in a repr
+
 DEFAULT_CONFIGURATIONS = 5
 DEFAULT_DWELL_S = 10.0  # a law whose errors decay as exp(-t) rests then
 
@@ -100,6 +102,11 @@ def _name(report: Report) -> str:
 
 class Comparison(list[Report]):
     """The reports of `compare`, plant by plant. `print` shows a table, a notebook one for each plant with the best values."""
+
+    def __repr__(self) -> str:
+        lines = [f"{_name(report):.60}: {report.verdict:.60}" for report in self[:_MAX_SHOWN_REPORTS]]
+        more = len(self) - len(lines)
+        return "\n".join([f"Comparison of {len(self)} runs", *lines, *([f"and {more} more"] if more else [])])
 
     def __str__(self) -> str:
         return report_table(self).text(keys=2)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, NotInstalledError, shown
+from armctl.core.tables import Table
 from armctl.core.validation import Array, array, frozen, number, vector, words
 from armctl.lab.loops.loop_responses import (
     MAX_STEP_TICKS,
@@ -56,6 +57,28 @@ class LoopAnalysis:
     def system(self) -> StateSpace:
         """The loop transfer function as one object: `A`, `B`, `C` and `D`."""
         raise NotImplementedError
+
+    @property
+    def title(self) -> str:
+        """What the loop is, in words."""
+        return "LinearLoop"
+
+    def __repr__(self) -> str:
+        return "\n".join([self.title, *(f"  {name}: {text}" for name, text in self._summary().items())])
+
+    def _repr_html_(self) -> str:
+        rows = list(self._summary().items())
+        return Table([self.title, ""], rows).html()
+
+    def _summary(self) -> dict[str, str]:
+        """Names and values of what one asks of a loop first."""
+        lines = {"size": f"{len(self.names)} inputs, {len(self.system.A)} states, control period {1e3 * self.dt:.4g} ms"}
+        margins = self.margins()
+        if not margins:
+            return lines | {"unstable": margins.reason}
+        modes = self.modes()
+        damped = f", least damping ratio {modes[0, 1]:.2g} at {modes[0, 0] / (2 * np.pi):.3g} Hz" if len(modes) else ""
+        return lines | {"margins": str(margins), "poles": f"slowest {self.slowest_pole:.3g} 1/s{damped}"}
 
     @cached_property
     def _margins(self) -> LoopMargins:
@@ -244,7 +267,7 @@ class LoopAnalysis:
         return np.exp(1j * w * self.dt)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LinearLoop(LoopAnalysis):
     """Any discrete linear loop: x[k + 1] = A x[k] + B u[k], y[k] = C x[k] + D u[k], closed by u = -y.
 

@@ -41,7 +41,7 @@ class Mode(NamedTuple):
         return f"{self.frequency / (2 * np.pi):.3g} Hz with a damping ratio of {self.damping_ratio:.2g}"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Loop(LoopAnalysis):
     """The loop of an arm and a controller around a configuration at rest, broken at the input of the motors.
 
@@ -87,6 +87,9 @@ class Loop(LoopAnalysis):
     def title(self) -> str:
         """Arm, controller and plant, in words."""
         return f"{self.robot}, {self.controller}, {self.plant}"
+
+    def _summary(self) -> dict[str, str]:
+        return {"q": f"{self.q.round(3).tolist()!s:.120}", "delay": f"{self.delay} ticks"} | super()._summary()
 
     @property
     def A(self) -> Array:

@@ -50,6 +50,9 @@ class Bode:
     phase: Array
     names: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        return _curves_text("Bode", self.names, self.w)
+
     def to_dict(self) -> dict[str, Array]:
         """The curves as a flat table, for `pandas.DataFrame(bode.to_dict())`.
 
@@ -94,6 +97,9 @@ class Nyquist:
     w: Array
     curve: ComplexArray
     names: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return _curves_text("Nyquist", self.names, self.w)
 
     def to_dict(self) -> dict[str, Array]:
         """The curves as a flat table, for `pandas.DataFrame(nyquist.to_dict())`.
@@ -173,6 +179,9 @@ class StepResponse:
         with np.errstate(invalid="ignore", divide="ignore"):
             return self.y / self.final
 
+    def __repr__(self) -> str:
+        return f"StepResponse({', '.join(self.names):.120}; {self.t[-1]:.4g} s)"
+
     def to_dict(self) -> dict[str, Array]:
         """The responses as a flat table, for `pandas.DataFrame(response.to_dict())`.
 
@@ -250,6 +259,12 @@ class DiskMargins:
             f"disk margin {self.together.radius:.3g} of all joints together: gain {low:.3g} to {high:.3g}, "
             f"phase {math.degrees(self.together.phase):.3g} deg; single joints at least {min(self.joints).radius:.3g}"
         )
+
+
+def _curves_text(kind: str, names: tuple[str, ...], w: Array) -> str:
+    """The repr of curves in one line."""
+    span = f"{w[0]:.3g} to {w[-1]:.4g} rad/s" if len(w) else "no frequency"
+    return f"{kind}({', '.join(names):.120}; {len(w)} frequencies, {span})"
 
 
 def _columns(first: str, x: Array, names: tuple[str, ...], **values: Array) -> dict[str, Array]:

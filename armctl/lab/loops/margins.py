@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import degrees, isfinite, nan
@@ -14,6 +15,7 @@ from armctl.core.defaults import MIN_DAMPING_RATIO
 from armctl.core.errors import InputError
 from armctl.core.limits import smallest_configuration
 from armctl.core.result import Verdict
+from armctl.core.tables import Table
 from armctl.core.validation import Array, frozen, integer, matrix, shown
 from armctl.lab.loops.linearization import Linearizer
 from armctl.lab.loops.loop import Loop, Mode
@@ -88,6 +90,28 @@ class Margins(Verdict):
             f"gain margin {self.gain_in_words}, phase margin {degrees(self.phase.value):.3g} deg, "
             f"Ms {self.peak_sensitivity.value:.3g}, slowest pole {self.pole_in_words}{damping}{chatter}"
         )
+
+    def __repr__(self) -> str:
+        rows = [f"  {name}: {text}, at q = {where:.60}" for name, text, where, _ in self._rows()]
+        head = f"Margins of {self.controller:.40} on {self.robot:.40}, worst of {self.loops} loops"
+        return "\n".join([head + (f": {self.reason}" if self.reason else ""), *rows])
+
+    def _repr_html_(self) -> str:
+        title = f"{self.controller} on {self.robot}, {self.loops} loops" + (f": {self.reason}" if self.reason else "")
+        return f"<p>{html.escape(title)}</p>{Table(['margin', 'worst', 'at q', 'plant'], self._rows()).html()}"
+
+    def _rows(self) -> list[list[str]]:
+        """Name, value, configuration and plant of each margin."""
+        values = {
+            "delay margin": (f"{1e3 * self.delay.value:.3g} ms", self.delay),
+            "gain margin": (self.gain_in_words, self.gain),
+            "phase margin": (f"{degrees(self.phase.value):.3g} deg", self.phase),
+            "Ms": (f"{self.peak_sensitivity.value:.3g}", self.peak_sensitivity),
+            "slowest pole": (self.pole_in_words, self.slowest_pole),
+            "least damping": (f"{self.damping.value:.2g}", self.damping),
+            "torque noise": (f"{self.chatter.value:.2g} N m", self.chatter),
+        }
+        return [[name, text, str(worst.q.round(2).tolist()), worst.plant] for name, (text, worst) in values.items()]
 
     @property
     def pole_in_words(self) -> str:

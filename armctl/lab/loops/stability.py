@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from math import inf, log, nan, pi
+from math import degrees, inf, log, nan, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +52,15 @@ class LoopMargins(Verdict):
     peak_sensitivity: float
     spectral_radius: float
     reason: str
+
+    def __str__(self) -> str:
+        if not self.ok:
+            return self.reason
+        lower = f"{self.lower_gain_margin:.3g} (lower) and " if self.lower_gain_margin > 0.0 else ""
+        return (
+            f"delay margin {1e3 * self.delay_margin:.3g} ms, gain margin {lower}{self.upper_gain_margin:.3g}, "
+            f"phase margin {degrees(self.phase_margin):.3g} deg, Ms {self.peak_sensitivity:.3g}"
+        )
 
     @property
     def gain_margin(self) -> float:

@@ -28,6 +28,7 @@ _FIXED_COLOR = (0.6, 0.6, 0.65, 1.0)
 _MAX_TIMESTEP_S = 1e-3  # in a scene with loose objects
 _STIFF_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 _FRICTION_RATIO = 10.0  # stiffness of friction relative to contact, so that a held object does not creep
+_MAX_SHOWN_NAMES = 6
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 _BALL = mujoco.mjtGeom.mjGEOM_SPHERE
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -212,6 +213,11 @@ class Scene:
             body.add_freejoint(name=item.name)
             loose = {"rgba": _LOOSE_COLOR, "mass": item.mass, **gripped, **collides}
             body.add_geom(name=item.name, type=item.shape, size=item.size, **loose)
+
+    def __repr__(self) -> str:
+        names = [*(self._file.bodies if self._file else ()), *(item.name for item in self.items)]
+        more = f" and {len(names) - _MAX_SHOWN_NAMES} more" if len(names) > _MAX_SHOWN_NAMES else ""
+        return f"Scene({', '.join(f'{name:.60}' for name in names[:_MAX_SHOWN_NAMES])}{more})"
 
     def _repr_html_(self) -> str:
         rows = [

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, PlanError
+from armctl.core.faces import with_options
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint
@@ -80,6 +81,10 @@ class PathOptions(TypedDict, total=False):
     tip_angular_speed: float | None
 
 
+PATH_DEFAULTS: dict[str, object] = {"speed": 1.0, "tip_speed": None, "tip_angular_speed": None}
+
+
+@with_options(PathOptions, PATH_DEFAULTS)
 def move_l(
     arm: Arm, q_start: Pose | Setpoint | ArrayLike, target: Pose | ArrayLike, **options: Unpack[PathOptions]
 ) -> JointTrajectory:
@@ -102,6 +107,7 @@ def move_l(
     return _planned(arm, q_start, _Request("move_l", [Line(target)]), options)
 
 
+@with_options(PathOptions, PATH_DEFAULTS)
 def move_c(
     arm: Arm,
     q_start: Pose | Setpoint | ArrayLike,
@@ -129,6 +135,7 @@ def move_c(
     return _planned(arm, q_start, _Request("move_c", [Arc(via, target, angle)]), options)
 
 
+@with_options(PathOptions, PATH_DEFAULTS)
 def move_path(
     arm: Arm,
     q_start: Pose | Setpoint | ArrayLike,

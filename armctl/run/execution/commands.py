@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.control.interface import State
 from armctl.core.errors import InputError
+from armctl.core.faces import with_options
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
@@ -20,7 +21,7 @@ from armctl.core.validation import Array, flag, number
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
 from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
-from armctl.plan.motion.move_cartesian import Arc, Line, PathOptions, move_c, move_l, move_path, read_path
+from armctl.plan.motion.move_cartesian import PATH_DEFAULTS, Arc, Line, PathOptions, move_c, move_l, move_path, read_path
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
@@ -43,6 +44,9 @@ class PathMoveOptions(PathOptions, total=False):
 
     avoid: bool
     allow: Iterable[tuple[str, str]]
+
+
+_shows_options = with_options(PathMoveOptions, {**PATH_DEFAULTS, "avoid": True, "allow": ()})
 
 
 class Commands:
@@ -180,6 +184,7 @@ class Commands:
 
         return self._move(goal, plan)
 
+    @_shows_options
     def move_l(self, target: TargetLike, **options: Unpack[PathMoveOptions]) -> MoveResult:
         """Moves the tip to a target on a straight line.
 
@@ -198,6 +203,7 @@ class Commands:
         end = goal.position if goal.pose is None else goal.pose
         return self._move_along(goal, partial(move_l, self.arm, self._start, end), **options)
 
+    @_shows_options
     def move_c(
         self, via: Pose | ArrayLike, target: TargetLike, *, angle: float | None = None, **options: Unpack[PathMoveOptions]
     ) -> MoveResult:
@@ -218,6 +224,7 @@ class Commands:
         planner = partial(move_c, self.arm, self._start, via, end, angle=angle)
         return self._move_along(goal, planner, ends_at_target=angle is None, **options)
 
+    @_shows_options
     def move_path(
         self, path: Sequence[Line | Arc | Pose | ArrayLike], *, blend: float = 0.0, **options: Unpack[PathMoveOptions]
     ) -> MoveResult:

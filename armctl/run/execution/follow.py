@@ -57,6 +57,9 @@ class StreamRun:
         self._due = 0.0
         self._recorder: Recorder | None = None
 
+    def __repr__(self) -> str:
+        return f"StreamRun({self._tip!r}, t = {self.stream.t:.4g} s{'' if self._recorder else ', not running'})"
+
     def __enter__(self) -> StreamRun:
         self._recorder = self._recording.__enter__()
         return self

@@ -15,6 +15,7 @@ import numpy as np
 
 from armctl.core import hooks
 from armctl.core.errors import InputError, LinkError, ModelError
+from armctl.core.faces import named_after_itself
 from armctl.core.log import Log
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
@@ -45,6 +46,7 @@ _SLOWEST = 0.02  # of a motion's speed; one that must be slower is refused
 _SAMPLES = 400
 
 
+@named_after_itself
 class Robot(Commands):
     """A robot, commanded as a `Simulation` is: the same moves, the same results, the same refusals.
 

@@ -7,6 +7,7 @@ of Guidance, Control, and Dynamics 40(2), 2017.
 from __future__ import annotations
 
 import copy
+import inspect
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.faces import with_options
 from armctl.core.pose import Pose
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, instance, integer, matrix, number, vector
@@ -333,6 +335,10 @@ class PushResult(Verdict):
     plans: int
 
 
+_DEFAULTS = {name: inspect.signature(MPPI).parameters[name].default for name in MPPIOptions.__annotations__}
+
+
+@with_options(MPPIOptions, _DEFAULTS)
 def push(
     simulation: Simulation,
     body: str,

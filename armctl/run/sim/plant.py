@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.faces import face, show_arguments
 from armctl.core.other_names import check_keywords
 from armctl.core.validation import Array, IntArray, instance, number, shown, vector
 from armctl.model.arm.arm import Arm
@@ -225,6 +226,9 @@ class Plant:
             raise InputError(f"joint_torque: expected a function of q, v and t, got {shown(self.joint_torque)}")
         instance("name", self.name, str, "'worn gears' is one")
 
+    def __repr__(self) -> str:
+        return face(self, **self._differences)
+
     def __str__(self) -> str:
         phrases = [
             attribute.describe(value)
@@ -276,6 +280,7 @@ class Plant:
 
 
 PLANT_ATTRIBUTES = attributes_of(Plant)
+show_arguments(Plant)
 
 
 def read_plant(plant: Plant | None) -> Plant:

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.computed_torque import ComputedTorque
-from armctl.control.interface import Controller, State
+from armctl.control.interface import Controller, State, traits
 from armctl.core import hooks
 from armctl.core.errors import LimitError
+from armctl.core.faces import named_after_itself
 from armctl.core.log import Log
 from armctl.core.other_names import with_hints
 from armctl.core.trajectory import TickReference
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 
 
+@named_after_itself
 class Simulation(Commands):
     """An arm in its scene with a controller, commanded by Cartesian or joint targets.
 
@@ -86,6 +88,10 @@ class Simulation(Commands):
         self._arms: SimulatedArms = SimulatedArms([arm], {arm.tip: law}, self._stepper)
         super().__init__(self._arms)
         self._gripper: Gripper | None = None
+
+    def __repr__(self) -> str:
+        law = traits(self.controller).name
+        return f"Simulation({self.arm.name!r}, {law!r}, plant: {self.plant}, t = {self.data.time:.4g} s)"
 
     @property
     def controller(self) -> Controller:

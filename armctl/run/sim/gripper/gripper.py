@@ -62,6 +62,10 @@ class Gripper:
         self._contype = stepper.model.geom_contype[overlapping]
         self._conaffinity = stepper.model.geom_conaffinity[overlapping]
 
+    def __repr__(self) -> str:
+        held = f", holds {self.held}" if self.held else ""
+        return f"Gripper({1e3 * self.width:.3g} mm wide, at most {1e3 * self.width_max:.3g} mm{held})"
+
     @property
     def width(self) -> float:
         """The distance between the pads now, m."""
