@@ -13,7 +13,7 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.errors import InputError
-from armctl.core.faces import face, gains_of
+from armctl.core.faces import face, gains_of, show_arguments
 from armctl.core.other_names import check_keywords
 from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array, as_array, flag, instance, integer, number, shown
@@ -180,6 +180,11 @@ class CompiledController(ABC):
         self._law: _core.Law | None = None
         self._period: tuple[float, bool] | None = None
         self._ahead: tuple[Array, ...] = ()  # the reference of the next ticks, of a law that plans
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """A class of controllers, whose signature has the arguments of its constructor."""
+        super().__init_subclass__(**keywords)
+        show_arguments(cls)
 
     def __setattr__(self, name: str, value: object) -> None:
         """Sets an attribute; a public one is a gain, so the law is made anew, with the same memory, when it is next needed."""

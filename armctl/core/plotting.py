@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # The palette of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers can distinguish.
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8C6D00", "#000000", "#999999")
+# TrueType, since many journals refuse Type 3, the default; text in SVG stays text, which can be searched and edited.
+FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
 STYLE: dict[Any, Any] = {
     "axes.grid": True,
     "axes.labelcolor": "#222222",
@@ -34,9 +36,7 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 8,
     "legend.frameon": False,
     "lines.linewidth": 1.5,
-    "pdf.fonttype": 42,  # TrueType, which journals ask for; the default is refused by some
-    "ps.fonttype": 42,
-    "svg.fonttype": "none",  # text stays text, which can be searched and edited
+    **FONTS,
     "lines.solid_capstyle": "round",
     "savefig.dpi": 120,
     "svg.hashsalt": "armctl",

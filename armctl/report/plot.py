@@ -22,16 +22,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
+_PANELS_SIZE_INCHES = (10.0, 7.0)
+_OVERLAY_SIZE_INCHES = (8.0, 6.0)
 _MIN_TIP_ERROR_SHOWN_M = 1e-9  # the axis is logarithmic
 
 
-def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | None:
+def four_panels(
+    log: Log,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    size: tuple[float, float] | None = None,
+    title: bool = True,
+) -> Path | None:
     """Draws joint positions, joint velocities, motor torques and the tip's position over time, in four panels.
 
     The reference is dashed, torque limits are grey lines, and a circle marks the target.
 
     Args:
         path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window opens.
+        size: Width and height in inches.
+        title: Whether arm and controller stand above the panels; False where a caption says it.
 
     Raises:
         InputError: The log is empty, or the path has another file extension.
@@ -55,22 +65,26 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
             f"motor torque, {units.label(units.of_torque(log.units))}",
             f"tip position, m{dashed}",
         )
-        for ax, title in zip(axes.flat, titles, strict=True):
-            ax.set_title(title)
+        for ax, above in zip(axes.flat, titles, strict=True):
+            ax.set_title(above)
         for ax in axes[1]:
             ax.set_xlabel("time, s")
         handles = axes[0, 0].get_lines()[: len(log.joint_names)]
         figure.legend(handles, log.joint_names, loc="outside lower center", ncols=min(len(handles), 8))
         axes[1, 1].legend(loc="best")
-        figure.suptitle(
-            f"{log.robot}, {log.controller}" + (f": {log.failure}" if log.failure else ""), fontweight="bold", x=0.01, ha="left"
-        )
+        if title:
+            headline = f"{log.robot}, {log.controller}" + (f": {log.failure}" if log.failure else "")
+            figure.suptitle(headline, fontweight="bold", x=0.01, ha="left")
 
-    return finish_figure(draw, (10, 7), path)
+    return finish_figure(draw, size or _PANELS_SIZE_INCHES, path)
 
 
 def overlay(
-    logs: Sequence[Log], path: str | os.PathLike[str] | None = None, *, labels: Sequence[str] | None = None
+    logs: Sequence[Log],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    labels: Sequence[str] | None = None,
+    size: tuple[float, float] | None = None,
 ) -> Path | None:
     """Draws several runs over each other: the tracking error of the tip, and the torque nearest to its limit.
 
@@ -78,6 +92,7 @@ def overlay(
         logs: The runs; each must have followed a reference.
         path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window opens.
         labels: One per run; the names of their controllers if left out.
+        size: Width and height in inches.
 
     Raises:
         InputError: A log is empty or without a reference, there is none, the number of labels differs, or the path has another
@@ -86,7 +101,7 @@ def overlay(
         NotInstalledError: There is no screen for a window.
     """
     _check_overlay(logs, labels)
-    return finish_figure(lambda figure: _overlay(figure, logs, labels), (8, 6), path)
+    return finish_figure(lambda figure: _overlay(figure, logs, labels), size or _OVERLAY_SIZE_INCHES, path)
 
 
 def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> NDArray[np.uint8]:

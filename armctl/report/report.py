@@ -169,13 +169,17 @@ class Report(Verdict):
         figures["contacts"] = [contact._asdict() for contact in self.contacts]
         return json_value(figures)
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
+    def plot(
+        self, path: str | os.PathLike[str] | None = None, *, size: tuple[float, float] | None = None, title: bool = True
+    ) -> Path | None:
         """Draws joint angles, velocities, torques with their limits, and the tip, over time.
 
         Args:
             path: The picture, .png, .svg or .pdf; its folder is made. Left out, a window opens.
+            size: Width and height in inches.
+            title: Whether arm and controller stand above the panels; False where a caption says it.
         """
-        return four_panels(self.log, path)
+        return four_panels(self.log, path, size=size, title=title)
 
     def _rows(self) -> dict[str, str]:
         torque_unit = units.label(units.of_torque(self.log.units))

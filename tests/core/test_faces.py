@@ -122,6 +122,9 @@ def test_the_defaults_in_a_signature_are_those_of_the_call(arm):
     given = armctl.move_l(arm, arm.home, goal, **defaults)
     assert given.duration == armctl.move_l(arm, arm.home, goal).duration
     assert "payload" in inspect.signature(armctl.Plant).parameters
+    assert "stiffness" in armctl.PD.__signature__.parameters
+    own = type("Mine", (armctl.PD,), {"__init__": lambda self, arm, speed=1.0: None})
+    assert list(inspect.signature(own).parameters) == ["arm", "speed"]
 
 
 def test_a_wrong_call_names_the_public_class(arm):
@@ -155,6 +158,26 @@ def test_figures_have_fonts_that_journals_accept_and_text_that_can_be_edited(arm
     pdf = bode.plot(tmp_path / "bode.pdf").read_bytes()
     assert b"/Type3" not in pdf
     assert b"/CIDFontType2" in pdf or b"/Subtype /Type0" in pdf
+
+
+def test_a_figure_for_a_paper_has_no_title_inside(arm, tmp_path):
+    from armctl.report.plot import four_panels
+
+    loop = armctl.linearize(arm, "pd", arm.home)
+    sim = armctl.Simulation(arm, "pd")
+    sim.move_to(arm.fk(arm.home + 0.1).position)
+    for plot in (loop.plot, armctl.Report.from_log(sim.log).plot, lambda *args, **how: four_panels(sim.log, *args, **how)):
+        assert "robot_arm_3dof, pd" in plot(tmp_path / "titled.svg").read_text()
+        text = plot(tmp_path / "plain.svg", size=(6.0, 4.0), title=False).read_text()
+        assert "robot_arm_3dof" not in text
+        assert 'width="432pt"' in text  # 6 inches
+    small = armctl.overlay([sim.log], tmp_path / "overlay.svg", size=(3.0, 3.0)).read_text()
+    assert 'width="216pt"' in small
+
+
+def test_a_motion_is_drawn_with_fonts_that_journals_accept(arm, tmp_path):
+    armctl.move_j(arm, arm.home, arm.home + 0.1).plot(tmp_path / "motion.pdf")
+    assert b"/Type3" not in (tmp_path / "motion.pdf").read_bytes()
 
 
 def test_the_width_of_a_figure_is_as_given(arm, tmp_path):

@@ -315,19 +315,23 @@ class Loop(LoopAnalysis):
         closed = arm[:, signals:, n:] + arm[:, signals:, :n] @ law @ seen
         return np.asarray(closed, dtype=np.complex128)
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
+    def plot(
+        self, path: str | os.PathLike[str] | None = None, *, size: tuple[float, float] | None = None, title: bool = True
+    ) -> Path | None:
         """Draws loop gain, phase, Nyquist curve, step response and sensitivity of each joint, and the compliance of the tip.
 
         Args:
             path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window
                 opens.
+            size: Width and height in inches.
+            title: Whether arm, controller and plant stand above the panels; False where a caption says it.
 
         Raises:
             InputError: The path has another ending.
             ArmctlError: The file cannot be written.
             NotInstalledError: There is no screen for a window.
         """
-        return finish_figure(lambda figure: draw_loop(figure, self), LOOP_SIZE_INCHES, path)
+        return finish_figure(lambda figure: draw_loop(figure, self, title=title), size or LOOP_SIZE_INCHES, path)
 
 
 def _largest_displacement(A: Array, push: Array, position: Array) -> Array:

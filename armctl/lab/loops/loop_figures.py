@@ -63,7 +63,7 @@ def draw_step(axes: Axes, response: StepResponse) -> None:
     axes.set_xlabel("time, s")
 
 
-def draw_loop(figure: Figure, loop: Loop) -> None:
+def draw_loop(figure: Figure, loop: Loop, *, title: bool = True) -> None:
     """Six panels: loop gain and phase, Nyquist curve, step response, sensitivity of each joint, and the tip's compliance."""
     panels = figure.subplot_mosaic([["gain", "nyquist", "sensitivity"], ["phase", "step", "compliance"]])
     bode = loop.bode()
@@ -93,4 +93,5 @@ def draw_loop(figure: Figure, loop: Loop) -> None:
     for name in ("gain", "phase", "step"):
         panels[name].set_ylabel("")  # the title says it
     figure.legend(lines, names, loc="outside lower center", ncols=min(loop.n, 8))
-    figure.suptitle(loop.title, fontweight="bold", x=0.01, ha="left")
+    if title:
+        figure.suptitle(loop.title, fontweight="bold", x=0.01, ha="left")

@@ -14,6 +14,7 @@ from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError
 from armctl.core.file_reading import read_npz, reading
 from armctl.core.limits import Limits
+from armctl.core.plotting import FONTS
 from armctl.core.validation import Array, shown
 from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, check_continuous, check_pieces
 
@@ -111,6 +112,7 @@ def plot(
     content: TrajectoryContent, times: Array, samples: JointSamples, jerk: Array, path: str | os.PathLike[str] | None
 ) -> object:
     """Matplotlib's figure of position, velocity, acceleration and jerk (T, n) of every joint, saved if there is a path."""
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     rows = (
@@ -133,6 +135,6 @@ def plot(
             raise InputError(
                 f"path: {shown(file.name)} is not the name of a picture; it must end in one of {', '.join(formats)}"
             )
-        with atomic_path(file) as temporary:
+        with atomic_path(file) as temporary, rc_context(FONTS):
             figure.savefig(temporary, dpi=120)
     return figure
