@@ -14,7 +14,7 @@ from armctl.core.validation import Array, instance, shown
 from armctl.model.loading.actuators import actuator_notes, dc_motors
 from armctl.model.loading.base import base_joints
 from armctl.model.loading.catalog import Source
-from armctl.model.loading.chain import chain_to, end_note, find_chain, several_limbs
+from armctl.model.loading.chain import chain_to, end_note, find_chain, held_note, several_limbs
 from armctl.model.loading.joint_limits import JointData, datasheet_limits, default_speeds, torque_limits
 from armctl.model.loading.tip import Tip, axis_note, named_tip, tip_of_chain
 from armctl.model.loading.unit_checks import unit_doubts
@@ -169,7 +169,7 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
             *(note for each, _ in chains for note in end_note(analysis, each)),
             *(axis_note(model, chain, tip) if is_chosen else []),
         ),
-        info_notes=tuple(quiet),
+        info_notes=(*quiet, *(held_note(analysis, joints) if others else [])),
         further_tips=tuple(other for _, other in others),
         base=ends.moving_base or "fixed",
     )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from armctl.core.errors import ModelError
+from armctl.core.errors import ModelError, few_names
 from armctl.core.validation import shown
 from armctl.model.loading.tip import tip_of_chain
 from armctl.model.mjmodel.queries import (
@@ -22,12 +23,15 @@ from armctl.model.mjmodel.queries import (
     joint_name,
     joints_above,
     joints_of,
+    robot_roots,
     welded_behind,
 )
 from armctl.model.mjmodel.transmissions import Transmissions
 
 _JAW_NAME = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)
 _JAW_BODY_NAME = re.compile(r"^(?!.*(fix|static|base)).*(jaw|finger|fngr|claw|moving)", re.IGNORECASE)
+_MAX_WHEEL_JOINTS = 2  # a suspension or a steering, and the wheel
+_BALANCED = 0.05  # of the radius of gyration: how far the center of mass of a wheel may be off its axis
 _TIP_FRAME_NAME = re.compile(r"(?<![a-z])(tcp|grasp|pinch|tip)(?![a-z])", re.IGNORECASE)
 
 
@@ -77,9 +81,9 @@ def all_chains(analysis: Transmissions) -> list[SerialChain]:
     model = analysis.model
     runs, refused = _drivable_runs(analysis)
     found: set[_JointSeries] = set()
-    counts = branch_counts(model)
+    fingers = _FingerSearch(analysis, [run.joints for run in runs])
     for run in _longest(runs):
-        end = _end_of_arm(analysis, run.joints, counts)
+        end = fingers.end_of_arm(run.joints)
         found.add(_JointSeries(run.base, run.joints[:end]))
         found.add(_JointSeries(int(model.jnt_bodyid[run.joints[end - 1]]), run.joints[end:]))
     kept = sorted(_longest({run for run in found if run.joints}), key=lambda run: (run.base, run.joints))
@@ -97,10 +101,11 @@ def several_limbs(analysis: Transmissions, base: int = 0, before: Joints = ()) -
     """
     model = analysis.model
     runs, _ = _drivable_runs(analysis)
-    counts = branch_counts(model)
+    fingers = _FingerSearch(analysis, [run.joints for run in runs])
     behind = {run.joints[len(before) :] for run in _longest(runs) if run.base == 0 and run.joints[: len(before)] == before}
-    ends = {joints[: _end_of_arm(analysis, joints, counts)] for joints in behind if joints}
+    ends = {joints[: fingers.end_of_arm(joints)] for joints in behind if joints}
     limbs = sorted({end for end in ends if not any(end == other[: len(end)] and end != other for other in ends)})
+    limbs = [limb for limb in limbs if not _is_wheel(model, limb, limbs)] or limbs
     if len(limbs) < 2:
         return []
     try:
@@ -117,16 +122,19 @@ def several_limbs(analysis: Transmissions, base: int = 0, before: Joints = ()) -
 def find_chain(analysis: Transmissions, base: int = 0) -> Joints:
     """The arm of a model without a description: its longest run of actuated joints from the base, the world if left out.
 
-    The run ends before the fingers of a gripper: at a body that carries several jointed branches with fewer joints behind
-    it than before it, or at joints named like a jaw. ModelError if there is none, or several are equally long.
+    The run ends before the fingers of a gripper: at a body that carries several jointed branches, each with fewer joints than
+    come before it, or at joints named like a jaw. ModelError if there is none, or several are equally long.
     """
     model = analysis.model
-    counts = branch_counts(model)
-    runs = {run[: _end_of_arm(analysis, run, counts)] for run in _actuated_runs(analysis, base)}
+    actuated = _actuated_runs(analysis, base)
+    fingers = _FingerSearch(analysis, actuated)
+    runs = {run[: fingers.end_of_arm(run)] for run in actuated}
     longest = max((len(run) for run in runs), default=0)
     if longest == 0:
         raise ModelError(_why_no_arm(analysis, base))
     best = sorted(run for run in runs if len(run) == longest)
+    if len(best) > 1:
+        best = [run for run in best if not _reason_against(analysis, base, run)] or best[:1]
     if len(best) > 1:
         tips = ", ".join(repr(name) for run in best if (name := _selectable_tip(model, run)))
         on = f"on {shown(body_name(model, base))}" if base else "at the base"
@@ -177,11 +185,33 @@ def end_note(analysis: Transmissions, joints: Joints) -> list[str]:
     return [f"the arm ends before joint {joint_name(model, following)!r}, which has no actuator of its own and is held"]
 
 
+def held_note(analysis: Transmissions, joints: Joints) -> list[str]:
+    """One sentence on the joints of a robot that are none of an arm's and stay at home, and the first reason; or none."""
+    model = analysis.model
+    moved = {joint for transmission in analysis.of_chain(joints) for joint in transmission.coupled} | set(joints)
+    roots = robot_roots(model, joints)
+    rest = [j for j in range(model.njnt) if j not in moved and int(model.body_rootid[model.jnt_bodyid[j]]) in roots]
+    if not rest:
+        return []
+    reason = next(filter(None, (_refusal(analysis, joint) for joint in rest)), "")
+    names = few_names([joint_name(model, joint) for joint in rest])
+    return [f"held at home: {names}" + (f"; {reason}" if reason else "")]
+
+
 def _check_drivable(analysis: Transmissions, base: int, joints: Joints) -> None:
     """Refuses a chain with a joint that cannot be driven, or that is coupled to a joint above the base."""
     analysis.of_chain(joints)
     if reason := _coupled_above(analysis, base, joints):
         raise ModelError(reason)
+
+
+def _reason_against(analysis: Transmissions, base: int, joints: Joints) -> str:
+    """Why a chain cannot be driven; empty if it can."""
+    try:
+        _check_drivable(analysis, base, joints)
+    except ModelError as error:
+        return str(error)
+    return ""
 
 
 def _coupled_above(analysis: Transmissions, base: int, joints: Joints) -> str:
@@ -261,20 +291,49 @@ def _actuated_runs(analysis: Transmissions, base: int) -> set[Joints]:
     return {r for r in run.values() if r}
 
 
-def _end_of_arm(analysis: Transmissions, run: Joints, counts: list[int]) -> int:
-    """How many joints of a run come before its fingers; `counts` are the model's `branch_counts`."""
-    model = analysis.model
-    for before in range(1, len(run)):
-        last = int(model.jnt_bodyid[run[before - 1]])
-        following = int(model.jnt_bodyid[run[before]])
-        if last != following and len(run) - before < before and counts[last] > 1:
-            return before
-    end = len(run)
-    if not run or counts[int(model.jnt_bodyid[run[-1]])]:
-        return end  # it carries something that moves: a wrist, whatever its name
-    while end > 0 and _is_jaw(analysis, run[end - 1]):
-        end -= 1
-    return end or len(run)
+class _FingerSearch:
+    """Where runs of joints end before the fingers of a gripper."""
+
+    def __init__(self, analysis: Transmissions, runs: Iterable[Joints]):
+        """`runs` are all of them, whose lengths tell fingers from limbs."""
+        self._analysis = analysis
+        self._counts = branch_counts(analysis.model)
+        self._most_behind: dict[int, int] = {}  # for each joint, how many joints any run has behind it
+        for run in runs:
+            for before, joint in enumerate(run, 1):
+                self._most_behind[joint] = max(self._most_behind.get(joint, 0), len(run) - before)
+
+    def end_of_arm(self, run: Joints) -> int:
+        """How many joints of a run come before its fingers, at a body that carries several branches, all of them shorter."""
+        model = self._analysis.model
+        for before in range(1, len(run)):
+            joint = run[before - 1]
+            last = int(model.jnt_bodyid[joint])
+            following = int(model.jnt_bodyid[run[before]])
+            if last != following and self._most_behind[joint] < before and self._counts[last] > 1:
+                return before
+        end = len(run)
+        if not run or self._counts[int(model.jnt_bodyid[run[-1]])]:
+            return end  # it carries something that moves: a wrist, whatever its name
+        while end > 0 and _is_jaw(self._analysis, run[end - 1]):
+            end -= 1
+        return end or len(run)
+
+
+def _is_wheel(model: mujoco.MjModel, limb: Joints, limbs: Sequence[Joints]) -> bool:
+    """Whether a limb is a wheel, with or without a suspension or a steering: it ends in a body that turns about its own center.
+
+    Such a limb has at most two joints of its own and ends with a hinge without limits through the center of mass.
+    """
+    own = [joint for joint in limb if not any(joint in other for other in limbs if other != limb)]
+    last = limb[-1]
+    if len(own) > _MAX_WHEEL_JOINTS or model.jnt_type[last] != mujoco.mjtJoint.mjJNT_HINGE or model.jnt_limited[last]:
+        return False
+    body = int(model.jnt_bodyid[last])
+    axis = model.jnt_axis[last]
+    off_axis = np.linalg.norm(np.cross(model.body_ipos[body] - model.jnt_pos[last], axis))
+    gyration = np.sqrt(model.body_inertia[body].max() / max(model.body_mass[body], mujoco.mjMINVAL))
+    return bool(off_axis <= _BALANCED * gyration)
 
 
 def _is_jaw(analysis: Transmissions, joint: int) -> bool:

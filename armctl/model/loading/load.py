@@ -24,7 +24,7 @@ from armctl.model.arm.arm import Arm
 from armctl.model.arm.parity import check_parity
 from armctl.model.loading.added_shapes import CAPSULES, VISUAL, add_shapes, read_shapes, visual_links
 from armctl.model.loading.arm_plan import ArmEnds, ArmPlan, describe_arms, find_ends
-from armctl.model.loading.base import BASE_JOINTS, add_base_joints, hold_free_bases
+from armctl.model.loading.base import BASE_JOINTS, add_base_joints, hold_free_bases, may_float
 from armctl.model.loading.build import make_arms
 from armctl.model.loading.catalog import Source, locate
 from armctl.model.loading.chain import SerialChain, all_chains
@@ -376,7 +376,7 @@ def _read(
     """A robot's specification, with what its SRDF says, and what is noted about it."""
     spec, notes, unread, drawn = source.read(visual=visual)
     notes = [*notes, *add_missing_motors(spec)]
-    if moving_base is not None or (hold_base and any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)):
+    if moving_base is not None or (hold_base and may_float(spec)):
         model = source.compile_without_textures(spec)
         held = hold_free_bases(spec, model)
         if moving_base is not None:

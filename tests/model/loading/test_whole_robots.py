@@ -166,3 +166,84 @@ def test_robots_of_menagerie_load_whole_and_stand_where_their_keyframe_puts_them
     for T, tip in zip(tip_matrices(arm, arm.home), arm.tips, strict=True):
         assert arm.fk(arm.home, tip).matrix == pytest.approx(T, abs=1e-12)
     assert armctl.solve_ik(arm, {tip: arm.fk(arm.home + 0.01, tip).position for tip in arm.tips})
+
+
+def test_a_short_neck_is_a_limb_where_long_arms_leave_the_same_torso():
+    """Fingers are fewer joints than come before them on every branch; of a torso with two arms the neck is none."""
+    robot = load(
+        limb("t u v", limb("n m") + limb("a b c d") + limb("e f g h")) + limb("k l o p"),
+        motors("t u v n m a b c d e f g h k l o p"),
+    )
+    assert robot.n == 17
+    assert len(robot.tips) == 4
+    gripper = load(limb("a b c d", limb("e f") + limb("g h")), motors("a b c d e f g h"))
+    assert gripper.joint_names == ("a", "b", "c", "d")
+
+
+WHEEL = (
+    '<body pos="{x} 0.3 0"><joint name="{name}" axis="0 1 0"/>'
+    '<geom type="cylinder" size="0.05 0.02" euler="90 0 0" mass="1"/></body>'
+)
+
+
+def test_wheels_are_no_limbs_of_a_robot_with_arms_and_are_named_as_held():
+    wheels = "".join(WHEEL.format(x=x, name=name) for x, name in ((0.2, "left"), (-0.2, "right")))
+    arms = limb("a b c") + limb("d e f")
+    base = f'<body name="cart" pos="0 0 0.3"><geom size="0.1" mass="5" contype="0" conaffinity="0"/>{arms}{wheels}</body>'
+    robot = load(base, motors("a b c d e f left right"))
+    assert robot.joint_names == ("a", "b", "c", "d", "e", "f")
+    assert "held at home: left and right" in robot.notes
+    limited = base.replace('axis="0 1 0"/>', 'axis="0 1 0" range="-1 1"/>')
+    assert load(limited, motors("a b c d e f left right")).n == 8
+    bent = base.replace('size="0.05 0.02"', 'size="0.05 0.02" pos="0.2 0 0"')
+    assert load(bent, motors("a b c d e f left right")).n == 8
+
+
+PLANAR = (
+    '<body name="trunk" pos="0 0 0.8"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>'
+    f'<joint name="y" axis="0 1 0"/><geom size="0.1" mass="5" contype="0" conaffinity="0"/>{LEGS}</body>'
+)
+
+
+@pytest.mark.parametrize("key", ["", '<keyframe><key name="home" qpos="0.1 0.2 0.3 0.3 -0.4 0.1 0.2 0.3 0.4"/></keyframe>'])
+def test_the_base_of_a_planar_walker_is_held_where_its_keyframe_puts_it(key):
+    rest = motors("a b c d e f") + key
+    arm = load(PLANAR, rest)
+    assert arm.joint_names == ("a", "b", "c", "d", "e", "f")
+    original = mujoco.MjSpec.from_string(mjcf(PLANAR, rest)).compile()
+    data = mujoco.MjData(original)
+    if key:
+        mujoco.mj_resetDataKeyframe(original, data, 0)
+        assert arm.home == pytest.approx(data.qpos[3:])
+    for q in arm.limits.random(arm.home, 3, np.random.default_rng(0)):
+        data.qpos[3:] = q
+        mujoco.mj_kinematics(original, data)
+        for tip in arm.tips:
+            assert arm.fk(q, tip).position == pytest.approx(data.body(tip).xpos, abs=1e-12)
+    moved = load(PLANAR, rest, base="planar")
+    assert moved.home == pytest.approx([0.0, 0.0, 0.0, *arm.home])
+    assert moved.fk(moved.home).matrix == pytest.approx(arm.fk(arm.home).matrix, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "rest"),
+    [
+        ('name="x" type="slide" range="-1 1"', ""),
+        ('name="x" type="slide"', '<tendon><fixed name="rope"><joint joint="x" coef="1"/></fixed></tendon>'),
+        ('name="x" type="slide"', '<equality><joint joint1="x"/></equality>'),
+    ],
+)
+def test_slides_with_limits_or_couplings_are_no_floating_base(change, rest):
+    with pytest.raises(armctl.ModelError, match="'x'"):
+        load(PLANAR.replace('name="x" type="slide"', change), motors("a b c d e f") + rest)
+
+
+def test_of_equally_long_chains_that_cannot_be_driven_the_reason_is_given():
+    bodies = limb("a b") + limb("c d")
+    rest = (
+        motors("a b c d") + '<tendon><fixed name="left"><joint joint="b" coef="1"/><joint joint="a" coef="2"/></fixed>'
+        '<fixed name="right"><joint joint="c" coef="1"/><joint joint="d" coef="2"/></fixed></tendon>'
+        '<equality><tendon name="tied" tendon1="left"/><tendon name="bound" tendon1="right"/></equality>'
+    )
+    with pytest.raises(armctl.ModelError, match="coupled to another by the equality 'tied'"):
+        load(bodies, rest)
