@@ -423,7 +423,8 @@ def check_arm(arm: object) -> None:
 
 
 def check_driven(arm: Arm) -> None:
-    """Raises InputError for an arm on a free base, which no motor holds."""
+    """Raises InputError for what is no arm, and for one on a free base, which no motor holds."""
+    check_arm(arm)
     if arm.base == "free":
         raise InputError(
             f"arm: no motor holds the free base of {arm.name:.60}: its joints have kinematics, plans and timing, but no "
