@@ -104,6 +104,7 @@ public:
             is_exact = solve_program(dx_);
         }
         is_exact = is_exact && keep_exact(q, dx_);
+        if (has_exact() && !(is_exact && can_brake(q, dx_, dt))) { is_exact = brake(q, v_before, dt, dx_); }
         for (size_t i = 0; i < n(); ++i) {
             const Bounds bounds{low_[i], high_[i]};
             v[i] = bounds.clamp(dx_[i]) * errors_.unit()[i] / dt;
@@ -172,6 +173,7 @@ private:
     static constexpr double MIN_MOVE = 1e-8;         // rad, or reaches: a smaller step ends an approach
     static constexpr double MAX_STEP = 0.5;          // rad, or reaches, of an approach
     static constexpr double NEARBY_SHARE = 0.25;     // of a joint's range: every other start is so near to the first one
+    static constexpr double BRAKING_SHARE = 0.8;     // of the accelerations: the rest keeps exact tasks on their curves
     static constexpr double ROUNDING = 1e-12;        // relative, of speeds
 
     // The speeds that a joint may have for the next dt.
@@ -187,6 +189,38 @@ private:
         if (below < 0.0) { low = high = std::min(-below / dt, v_max); }
         const Bounds reachable{v_before - a * dt, v_before + a * dt};
         return {reachable.clamp(low), reachable.clamp(high)};
+    }
+
+    // Whether all joints can stop together after a step dx (n,) from q (n,), each inside its limits: with speeds that become smaller in
+    // proportion, exact tasks go on to hold. It takes so long as the joint with the weakest brake needs.
+    bool can_brake(Vector q, Vector dx, double dt) const {
+        const double duration = braking_time(dx, dt);
+        for (size_t i = 0; i < n(); ++i) {
+            const double way = dx[i] * errors_.unit()[i] * (1.0 + 0.5 * duration / dt);
+            if (q[i] + way < limits_.q_min[i] || q[i] + way > limits_.q_max[i]) { return false; }
+        }
+        return true;
+    }
+
+    // s, until all joints stop together from a step dx (n,) in dt.
+    double braking_time(Vector dx, double dt) const {
+        double duration = 0.0;
+        for (size_t i = 0; i < n(); ++i) {
+            duration = std::max(duration, std::abs(dx[i]) * errors_.unit()[i] / (dt * BRAKING_SHARE * limits_.a_max[i]));
+        }
+        return duration;
+    }
+
+    // Fills the step dx (n,) with which all joints go on as before and brake together. Returns whether exact tasks hold at its end.
+    bool brake(Vector q, Vector v_before, double dt, Result dx) {
+        for (size_t i = 0; i < n(); ++i) { kept_[i] = v_before[i] * dt / errors_.unit()[i]; }
+        const double share = std::max(0.0, 1.0 - dt / std::max(braking_time(kept_, dt), dt));
+        for (double& x : kept_) { x *= share; }
+        if (newton(q, kept_)) {
+            copy(kept_, dx);
+            return true;
+        }
+        return false;
     }
 
     // The share of a way (n,) that all joints can go in dt, so that each can stop at its end.
