@@ -81,6 +81,11 @@ TipTarget: TypeAlias = TargetLike | Stay | RelativeTo | LookAt
 TipTargets: TypeAlias = Mapping[str, TipTarget]
 
 
+def targets_by_tip(targets: TipTargets, start: Mapping[str, Pose]) -> dict[str, TipTarget]:
+    """The same targets for a motion: tips that stay have the poses of the start, from wherever a search begins."""
+    return {tip: start[tip] if isinstance(target, Stay) else target for tip, target in targets.items()}
+
+
 def read_polygon(what: str, polygon: ArrayLike | None) -> Array:
     """The half planes (K, 3) of a convex polygon: normal x and y, and bound, m; none for None.
 

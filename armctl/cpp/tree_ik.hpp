@@ -86,25 +86,17 @@ public:
         approach_polygon(dt);
         bool is_exact = solve_program(way_);
         const double share = share_of_way(way_, dt);
-        for (double& x : way_) { x *= share; }
-        copy(way_, dx_);
-        bool is_inside = true;
         for (size_t i = 0; i < n(); ++i) {
             const Bounds bounds = speeds(i, q[i], v_before[i], dt);
             low_[i] = bounds.low * dt / errors_.unit()[i];
             high_[i] = bounds.high * dt / errors_.unit()[i];
-            is_inside = is_inside && Bounds{low_[i], high_[i]}.contain(dx_[i]);
+            before_[i] = v_before[i] * dt / errors_.unit()[i];
+            way_[i] *= share;
         }
-        for (size_t row = 0; row < exact_.count; ++row) { rhs_[row] *= share; }
-        if (!is_inside) {
-            std::ranges::fill(f_, 0.0);
-            for (size_t i = 0; i < n(); ++i) {
-                for (size_t k = 0; k < n(); ++k) { f_[i] -= (k < i ? H_(i, k) : H_(k, i)) * way_[k]; }
-            }
-            is_exact = solve_program(dx_);
-        }
-        is_exact = is_exact && keep_exact(q, dx_);
-        if (has_exact() && !(is_exact && can_brake(q, dx_, dt))) { is_exact = brake(q, v_before, dt, dx_); }
+        is_exact = is_exact && turn_to(q, 1.0, dt);
+        const double slower = is_exact ? slowed_by_curves(dt) : 1.0;
+        if (slower < 1.0) { is_exact = turn_to(q, slower, dt); }
+        if (!is_exact) { is_exact = brake(q, dt); }
         for (size_t i = 0; i < n(); ++i) {
             const Bounds bounds{low_[i], high_[i]};
             v[i] = bounds.clamp(dx_[i]) * errors_.unit()[i] / dt;
@@ -164,7 +156,7 @@ private:
     static constexpr double NO_MOTION = 1e-18;       // squared, of a row that no joint changes, such as the height of an arm in a plane
     static constexpr double EXACT = 1e-9;            // reaches: an exact task, or a polygon, with so small an error holds
     static constexpr double RELAXED_WEIGHT = 1e4;    // of exact tasks where limits contradict them
-    static constexpr int EXACT_STEPS = 4;            // of Newton's method, back to the exact tasks
+    static constexpr int EXACT_STEPS = 8;            // of Newton's method, back to the exact tasks
     static constexpr int EXACT_PASSES = 3;           // of a step, with what the exact tasks were missed by
     static constexpr int MAX_APPROACH_STEPS = 300;
     static constexpr double EXACT_MERIT = 1e3;       // of exact tasks, beside the others
@@ -174,6 +166,7 @@ private:
     static constexpr double MAX_STEP = 0.5;          // rad, or reaches, of an approach
     static constexpr double NEARBY_SHARE = 0.25;     // of a joint's range: every other start is so near to the first one
     static constexpr double BRAKING_SHARE = 0.8;     // of the accelerations: the rest keeps exact tasks on their curves
+    static constexpr double CURVE_SHARE = 0.1;       // of the accelerations, on the curves of exact tasks
     static constexpr double ROUNDING = 1e-12;        // relative, of speeds
 
     // The speeds that a joint may have for the next dt.
@@ -191,15 +184,53 @@ private:
         return {reachable.clamp(low), reachable.clamp(high)};
     }
 
+    // Fills dx_ with the last step, changed towards a share of the way as far as all accelerations allow: a sum of two steps that keep
+    // exact tasks keeps them, too. Returns whether they hold at its end, and all joints can stop from there.
+    bool turn_to(Vector q, double share, double dt) {
+        double part = 1.0;
+        for (size_t i = 0; i < n(); ++i) {
+            const double change = std::abs(share * way_[i] - before_[i]) * errors_.unit()[i];
+            const double possible = BRAKING_SHARE * limits_.a_max[i] * dt * dt;
+            if (possible < part * change) { part = possible / change; }
+        }
+        for (size_t i = 0; i < n(); ++i) {
+            straight_[i] = before_[i] + part * (share * way_[i] - before_[i]);
+            dx_[i] = Bounds{low_[i], high_[i]}.clamp(straight_[i]);
+        }
+        return newton(q, dx_) && is_above_polygon() && can_brake(q, dx_, dt);
+    }
+
+    // Whether the center of mass is above its polygon where the joints are placed, or nearer to it than at the start of the step.
+    bool is_above_polygon() {
+        double outside = EXACT;
+        for (const double room : rooms_) { outside = std::max(outside, -room); }
+        return polygon_.empty() || outside_polygon() <= outside * errors_.reach();
+    }
+
+    // The share of the way at which what bends the straight step to where exact tasks hold takes no more of any joint's acceleration
+    // than braking leaves: it grows with the square of the speed, without bounds towards a singular configuration such as a
+    // straight leg.
+    double slowed_by_curves(double dt) const {
+        double most = 0.0;
+        for (size_t i = 0; i < n(); ++i) {
+            const double acceleration = 2.0 * std::abs(dx_[i] - straight_[i]) * errors_.unit()[i] / (dt * dt);
+            most = std::max(most, acceleration / (CURVE_SHARE * limits_.a_max[i]));
+        }
+        return most > 1.0 ? 1.0 / std::sqrt(most) : 1.0;
+    }
+
     // Whether all joints can stop together after a step dx (n,) from q (n,), each inside its limits: with speeds that become smaller in
     // proportion, exact tasks go on to hold. It takes so long as the joint with the weakest brake needs.
-    bool can_brake(Vector q, Vector dx, double dt) const {
+    bool can_brake(Vector q, Vector dx, double dt) {
         const double duration = braking_time(dx, dt);
         for (size_t i = 0; i < n(); ++i) {
             const double way = dx[i] * errors_.unit()[i] * (1.0 + 0.5 * duration / dt);
             if (q[i] + way < limits_.q_min[i] || q[i] + way > limits_.q_max[i]) { return false; }
         }
-        return true;
+        if (polygon_.empty()) { return true; }
+        for (size_t i = 0; i < n(); ++i) { end_[i] = q[i] + dx[i] * errors_.unit()[i] * (1.0 + 0.5 * duration / dt); }
+        errors_.locate(end_);
+        return is_above_polygon();
     }
 
     // s, until all joints stop together from a step dx (n,) in dt.
@@ -211,16 +242,11 @@ private:
         return duration;
     }
 
-    // Fills the step dx (n,) with which all joints go on as before and brake together. Returns whether exact tasks hold at its end.
-    bool brake(Vector q, Vector v_before, double dt, Result dx) {
-        for (size_t i = 0; i < n(); ++i) { kept_[i] = v_before[i] * dt / errors_.unit()[i]; }
-        const double share = std::max(0.0, 1.0 - dt / std::max(braking_time(kept_, dt), dt));
-        for (double& x : kept_) { x *= share; }
-        if (newton(q, kept_)) {
-            copy(kept_, dx);
-            return true;
-        }
-        return false;
+    // Fills dx_ with the step with which all joints go on as before and brake together. Returns whether exact tasks hold at its end.
+    bool brake(Vector q, double dt) {
+        const double share = std::max(0.0, 1.0 - dt / std::max(braking_time(before_, dt), dt));
+        for (size_t i = 0; i < n(); ++i) { dx_[i] = Bounds{low_[i], high_[i]}.clamp(share * before_[i]); }
+        return newton(q, dx_);
     }
 
     // The share of a way (n,) that all joints can go in dt, so that each can stop at its end.
@@ -293,7 +319,10 @@ private:
             copy(exact_.J.row(row), M_.row(row));
             rhs_[row] = exact_.errors[row];
         }
-        for (size_t k = 0; k < polygon_.size(); ++k) { rhs_[exact_.count + k] = -errors_.center_of_mass(polygon_[k], M_.row(exact_.count + k)); }
+        for (size_t k = 0; k < polygon_.size(); ++k) {
+            rooms_[k] = -errors_.center_of_mass(polygon_[k], M_.row(exact_.count + k));
+            rhs_[exact_.count + k] = rooms_[k];
+        }
     }
 
     // Lets the center of mass come no nearer to the edges of the polygon than it can slow down: at most by a rate times the distance,
@@ -388,17 +417,20 @@ private:
         }
     }
 
-    // Newton's method with the least change of dx, to exact tasks that hold at q + dx. False if it leaves the bounds.
+    // Newton's method with the least change of dx, to exact tasks that hold at q + dx. Joints that it would take out of the bounds stay
+    // there. False if the others cannot do it.
     bool newton(Vector q, Result dx) {
+        std::ranges::fill(is_held_, 0);
         for (int iteration = 0; iteration < EXACT_STEPS; ++iteration) {
             set_end(q, dx);
             find_exact(end_, end_rows_);
-            double most = 0.0;
-            for (size_t row = 0; row < end_rows_.count; ++row) { most = std::max(most, std::abs(end_rows_.errors[row])); }
-            if (most < EXACT) { return true; }
             const size_t count = end_rows_.count;
+            double most = 0.0;
+            for (size_t row = 0; row < count; ++row) { most = std::max(most, std::abs(end_rows_.errors[row])); }
+            if (most < EXACT) { return true; }
             const MatrixResult gram{gram_.numbers().data(), count, count};
             for (size_t row = 0; row < count; ++row) {
+                for (size_t i = 0; i < n(); ++i) { end_rows_.J(row, i) *= is_held_[i] ? 0.0 : 1.0; }
                 for (size_t other = 0; other <= row; ++other) { gram(row, other) = dot(end_rows_.J.row(row), end_rows_.J.row(other)); }
                 gram(row, row) += MIN_WEIGHT;
             }
@@ -407,7 +439,9 @@ private:
             solve(gram, multipliers);
             for (size_t i = 0; i < n(); ++i) {
                 for (size_t row = 0; row < count; ++row) { dx[i] += end_rows_.J(row, i) * multipliers[row]; }
-                if (!Bounds{low_[i], high_[i]}.contain(dx[i])) { return false; }
+                const Bounds bounds{low_[i], high_[i]};
+                is_held_[i] = is_held_[i] || !bounds.contain(dx[i]);
+                dx[i] = bounds.clamp(dx[i]);
             }
         }
         return false;
@@ -584,11 +618,13 @@ private:
     TaskRows end_rows_{exact_.errors.size(), n()};
     TaskRows relaxed_{exact_.errors.size() + polygon_.size(), n()};
     std::vector<size_t> firsts_;
+    std::vector<char> is_held_ = std::vector<char>(n());
     Mat H_{n(), n()}, C_{n(), n()}, factor_{n(), n()};
     Mat gram_{exact_.errors.size(), exact_.errors.size()};
-    Numbers f_ = Numbers(n()), diagonal_ = f_, pull_ = f_, low_ = f_, high_ = f_, way_ = f_, dx_ = f_, kept_ = f_, end_ = f_, trial_ = f_, best_ = f_,
+    Numbers f_ = Numbers(n()), diagonal_ = f_, pull_ = f_, low_ = f_, high_ = f_, way_ = f_, before_ = f_, straight_ = f_, dx_ = f_, kept_ = f_, end_ = f_, trial_ = f_, best_ = f_,
             change_ = f_;
     Numbers rhs_ = Numbers(M_.rows());
+    Numbers rooms_ = Numbers(polygon_.size());  // of the center of mass, to each edge of the polygon, reaches
     Numbers lower_ = Numbers(n() + M_.rows()), upper_ = lower_;
 };
 

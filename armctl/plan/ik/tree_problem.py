@@ -23,6 +23,7 @@ from armctl.plan.ik.problem import read_target
 
 _WORLD = -1
 _NO_ROTATION = np.zeros(9)
+_NOWHERE = np.zeros(12)
 _IN_THE_WORLD = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
 
 
@@ -102,18 +103,20 @@ def read_tasks(arm: Arm, targets: TipTargets, free_axis: str | None) -> list[Tre
     """The tasks of targets by tip, checked; an axis that may turn freely counts for all poses."""
     if not targets:
         raise InputError(f"target: no tip has a target; give one for any of {few_names(arm.tips)}")
+    tips = tree_of(arm).tips
     tasks = []
     for tip, target in targets.items():
-        if tip not in arm.tips:
-            raise UnknownNameError.from_known(f"tip of {arm.name:.60}", tip, arm.tips)
+        if tip not in tips:
+            raise UnknownNameError.from_known(f"tip of {arm.name:.60}", tip, tips)
         tasks.append(_read_task(arm, tip, target, free_axis))
-    _check_references(tasks)
+    if any(task.reference is not None for task in tasks):
+        _check_references(tasks)
     return tasks
 
 
 def _read_task(arm: Arm, tip: str, target: TipTarget, free_axis: str | None) -> TreeTask:
     if isinstance(target, Stay):
-        return TreeTask(tip, Constraint.POSE, None, points=False, exact=True, stays=True, numbers=np.zeros(12))
+        return TreeTask(tip, Constraint.POSE, None, points=False, exact=True, stays=True, numbers=_NOWHERE)
     if isinstance(target, LookAt):
         numbers = np.concatenate([_NO_ROTATION, target.point])
         return TreeTask(tip, Constraint.FREE_Z, None, points=True, exact=False, stays=False, numbers=numbers)

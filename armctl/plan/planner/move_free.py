@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.target import Target
+from armctl.core.tip_targets import TipTargets, targets_by_tip
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, integer, number, shown
 from armctl.model.arm.arm import Arm, check_arm
@@ -206,8 +207,9 @@ def move_free(
         arm: The arm, in its scene.
         q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves. The arm then slows down as fast as it
             can, and turns to the way around the obstacles meanwhile.
-        goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which one is reached. For
-            an arm of three joints three numbers are a configuration; `Target.read(point)` is a point.
+        goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which one is reached; or
+            targets by tip, as for `solve_ik`. For an arm of three joints three numbers are a configuration;
+            `Target.read(point)` is a point.
         clearance: m, of the path; the smooth motion keeps half of it. Two bodies that are nearer at the start or the goal may
             come as near during the motion, all bodies only if there is no other way.
         allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.
@@ -341,9 +343,11 @@ def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.ran
     return np.array(found)[order], found[int(np.argmax(distances))]
 
 
-def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
-    """A goal, or a list of goals, as poses, points and configurations."""
+def _goal_list(arm: Arm, goal: FreeGoal) -> Sequence[Pose | Target | Array | TipTargets]:
+    """A goal, or a list of goals, as poses, points, configurations and targets by tip."""
     if isinstance(goal, (Pose, Target)):
+        return [goal]
+    if isinstance(goal, Mapping):
         return [goal]
     try:
         is_numbers = np.ndim(goal) == 1 and np.asarray(goal).dtype.kind in "fiub"
@@ -367,7 +371,7 @@ def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
 def configurations_for(
     arm: Arm,
     start: Array,
-    goal: Pose | Target | Array,
+    goal: Pose | Target | Array | TipTargets,
     rng: np.random.Generator,
     is_free: Callable[[Array], bool],
     keep: KeptAxis | None = None,
@@ -375,6 +379,8 @@ def configurations_for(
     """Configurations for one goal, and why there is none. More are looked for as long as none of them is free."""
     if isinstance(goal, np.ndarray):
         return [goal], ""
+    if isinstance(goal, Mapping):
+        goal = targets_by_tip(goal, {tip: arm.fk(start, tip) for tip in arm.tips})
     free_axis = None
     if keep is not None and isinstance(goal, Target) and goal.pose is None:
         goal = computed_pose(goal.position, arm.fk(start).rotation)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Unpack
 
@@ -16,17 +16,20 @@ from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target, TargetLike
+from armctl.core.tip_targets import TipTargets
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import Array, flag, number
+from armctl.model.arm.arm import check_one_tip
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
 from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
+from armctl.plan.ik.tree_problem import read_tasks
 from armctl.plan.motion.move_cartesian import PATH_DEFAULTS, Arc, Line, PathOptions, move_c, move_l, move_path, read_path
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.move_free import FreeSpace
-from armctl.run.execution.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to
+from armctl.run.execution.move import ControlledArms, PlannedMove, plan_by_tip, plan_free, plan_move, plan_to
 from armctl.run.execution.obstacles import Obstacles
 
 if TYPE_CHECKING:
@@ -120,7 +123,7 @@ class Commands:
 
     def move_to(
         self,
-        target: TargetLike,
+        target: TargetLike | TipTargets,
         *,
         speed: float = 1.0,
         avoid: bool = True,
@@ -131,7 +134,8 @@ class Commands:
         """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
 
         Args:
-            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
+            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances; or targets by tip, as for
+                `solve_ik`, of which all are reached at the same time.
             speed: Fraction of the full speed, in (0, 1].
             avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight. An arm whose
                 links lack a collision shape is refused where there is anything around it that it could touch.
@@ -146,6 +150,9 @@ class Commands:
             InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
+        if isinstance(target, Mapping):
+            return self._move_by_tip(target, speed, avoid, allow, keep)
+        check_one_tip(self.arm)
         goal = Target.read(target)
         checker = self._checker(avoid, allow)
         kept = read_kept_axis(self.arm, keep, keep_within, self._start)
@@ -313,6 +320,18 @@ class Commands:
     @property
     def _start(self) -> Array:
         return self._arms.start(self.arm.tip)
+
+    def _move_by_tip(
+        self, targets: TipTargets, speed: float, avoid: bool, allow: Iterable[tuple[str, str]], keep: str | None
+    ) -> MoveResult:
+        if keep is not None:
+            raise InputError("keep: it is for a single target; give the tips poses")
+        read_tasks(self.arm, targets, None)  # wrong targets are an error before anything moves
+        checker = self._checker(avoid, allow)
+        space = None if checker is None else FreeSpace(checker)
+        goal = Target.read(self.tip)
+        plan = partial(plan_by_tip, self.arm, targets, self._start, speed, space)
+        return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)})[self.arm.tip]
 
     def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:
         set_target(self.model, self.data, goal.position, None if goal.pose is None else goal.pose.quat)

@@ -74,8 +74,8 @@ class Drive(Protocol):
         """The state of all arms now."""
         ...
 
-    def tip_pose(self, arm: Arm) -> Pose:
-        """The pose of an arm's tip now, T_world_tip."""
+    def tip_pose(self, arm: Arm, tip: str | None = None) -> Pose:
+        """The pose of one of an arm's tips now, T_world_tip; of the first one if left out."""
         ...
 
     def is_still(self, joints: slice) -> bool:

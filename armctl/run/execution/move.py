@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
@@ -19,6 +19,7 @@ from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
+from armctl.core.tip_targets import LookAt, RelativeTo, Stay, TipTargets, targets_by_tip
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, shown
@@ -41,11 +42,12 @@ _MAX_CONTACTS_IN_REASON = 3
 class PlannedMove:
     """The move of one arm: its target, and the motion there or the reason why there is none."""
 
-    target: Target
+    target: Target  # of the first tip
     trajectory: Trajectory | None = None
     refusal: str = ""
     clearance: float = math.nan  # m, that the motion is proved to keep; NaN if there is no proof
     left_out: tuple[tuple[str, str], ...] = ()  # bodies that touch by design, which the proof leaves out
+    tip_targets: Mapping[str, Target] = field(default_factory=dict)  # by tip, of an arm with several; else empty
 
 
 def plan_move(
@@ -90,6 +92,33 @@ def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeS
     if not solution.ok:
         return PlannedMove(target, refusal=solution.reason)
     return plan_move(arm, target, lambda: move_j(arm, q_start, solution.q, speed=speed))
+
+
+def plan_by_tip(arm: Arm, targets: TipTargets, q_start: Array, speed: float, space: FreeSpace | None) -> PlannedMove:
+    """A move of several tips to their targets, as `plan_to`. Tips that are relative or look end as planned."""
+    arm.limits.at_speed(speed)
+    goals = targets_by_tip(targets, {tip: arm.fk(q_start, tip) for tip in arm.tips})
+    move = PlannedMove(Target.read(arm.fk(q_start)))
+    clearance = math.nan
+    try:
+        if space is not None:
+            motion = move_free_with(space, arm, q_start, goals, speed=speed)
+            clearance = space.least_distance(motion)
+        else:
+            solution = solve_ik(arm, goals, q_start, avoid=not arm.unchecked_links)
+            if not solution.ok and not arm.unchecked_links:
+                solution = solve_ik(arm, goals, q_start)
+            if not solution.ok:
+                return replace(move, refusal=solution.reason)
+            motion = move_j(arm, q_start, solution.q, speed=speed)
+    except (PlanError, ModelError) as error:
+        return replace(move, refusal=str(error))
+    end = motion(motion.duration).q
+    planned = {tip: Target.read(arm.fk(end, tip)) for tip in (arm.tip, *goals)}
+    given = {tip: Target.read(target) for tip, target in goals.items() if not isinstance(target, (RelativeTo, LookAt, Stay))}
+    tips = planned | given
+    left_out = () if space is None else space.checker.left_out
+    return PlannedMove(tips[arm.tip], motion, clearance=clearance, left_out=left_out, tip_targets=tips)
 
 
 def plan_free(arm: Arm, target: Target, q_start: Array, goal: Target | Array, speed: float, space: FreeSpace) -> PlannedMove:
@@ -181,29 +210,25 @@ class ControlledArms:
         drive = self.drive
         trajectories = {tip: each.trajectory for tip, each in moves.items() if each.trajectory is not None}
         if not trajectories:
-            return {tip: self._result(tip, each, self.tip_pose(tip), 0.0, each.refusal, None) for tip, each in moves.items()}
+            return {tip: self._result(tip, each, 0.0, each.refusal, None) for tip, each in moves.items()}
         begin = drive.data.time
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         reference = self._reference(trajectories, ticks_for(max(durations.values()), drive.dt))
         targets = {tip: each.target.numbers for tip, each in moves.items()}
-        tips: dict[str, Pose] = {}
         is_done = False
         with self.recording(durations, targets) as recorder:
             self._run(trajectories, reference, recorder)
             hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:
-                tips = {tip: self.tip_pose(tip) for tip in moves}
                 still = all(drive.is_still(self._slices[tip]) for tip in trajectories)
-                is_done = still and all(moves[tip].target.is_reached(tips[tip]) for tip in trajectories)
+                is_done = still and all(self._is_reached(tip, moves[tip]) for tip in trajectories)
                 if is_done:
                     break
                 drive.run(self._controller, hold, recorder)
         duration = float(drive.data.time - begin)
-        if not is_done:
-            tips = {tip: self.tip_pose(tip) for tip in moves}
-        reasons = {tip: self._reason(tip, each, tips[tip], is_done) for tip, each in moves.items()}
-        return {tip: self._result(tip, each, tips[tip], duration, reasons[tip], self._logs[tip]) for tip, each in moves.items()}
+        reasons = {tip: self._reason(tip, each, is_done) for tip, each in moves.items()}
+        return {tip: self._result(tip, each, duration, reasons[tip], self._logs[tip]) for tip, each in moves.items()}
 
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
@@ -310,34 +335,49 @@ class ControlledArms:
                 whole[:, self._slices[tip]] = own
         return reference
 
-    def _reason(self, tip: str, move: PlannedMove, pose: Pose, is_done: bool) -> str:
+    def _ends(self, tip: str, move: PlannedMove) -> Iterator[tuple[str, Target, Pose]]:
+        """Where each tip of an arm should be, and is now."""
+        arm = self.arms[tip]
+        for name, target in (move.tip_targets or {arm.tip: move.target}).items():
+            yield name, target, self.drive.tip_pose(arm, name)
+
+    def _is_reached(self, tip: str, move: PlannedMove) -> bool:
+        return all(target.is_reached(pose) for _, target, pose in self._ends(tip, move))
+
+    def _reason(self, tip: str, move: PlannedMove, is_done: bool) -> str:
         """Why a move that ran is not ok; empty if it is. One that was found done is not judged again."""
         reason = move.refusal or self.drive.failure
         if not reason and not is_done:
-            reason = self._shortfall(tip, move, pose)
+            reason = self._shortfall(tip, move)
         if reason and not move.refusal:
             q = self.drive.q_ref[self._slices[tip]]
             reason += self.drive.instability(self.arms[tip], self.controllers[tip], q)
         return reason
 
-    def _shortfall(self, tip: str, move: PlannedMove, pose: Pose) -> str:
-        """How a tip at a pose misses its target, or that it has not come to rest; empty if neither."""
-        if not move.target.is_reached(pose):
-            position_error, orientation_error = move.target.distance(pose)
-            allowed = f"{length_text(move.target.tolerance)} and {move.target.angle_tolerance:g} rad are allowed"
-            off = above_text(position_error, move.target.tolerance)
-            missed = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
-            return "; ".join([missed, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
+    def _shortfall(self, tip: str, move: PlannedMove) -> str:
+        """How the tips of an arm miss their targets, or that it has not come to rest; empty if neither."""
+        missed = []
+        for name, target, pose in self._ends(tip, move):
+            if target.is_reached(pose):
+                continue
+            position_error, orientation_error = target.distance(pose)
+            allowed = f"{length_text(target.tolerance)} and {target.angle_tolerance:g} rad are allowed"
+            off = above_text(position_error, target.tolerance)
+            which = name if move.tip_targets else "the tip"
+            missed.append(f"{which} is {off} and {orientation_error:.3g} rad from the target, {allowed}")
+        if missed:
+            return "; ".join([*missed, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
         if not self.drive.is_still(self._slices[tip]):
             return f"the arm has not come to rest within {SETTLE_TIMEOUT_S:g} s"
         return ""
 
-    def _result(self, tip: str, move: PlannedMove, pose: Pose, duration: float, reason: str, log: Log | None) -> MoveResult:
-        position_error, orientation_error = move.target.distance(pose)
+    def _result(self, tip: str, move: PlannedMove, duration: float, reason: str, log: Log | None) -> MoveResult:
+        """The result with the largest errors of the arm's tips."""
+        errors = [target.distance(pose) for _, target, pose in self._ends(tip, move)]
         return MoveResult(
             ok=not reason,
-            position_error=position_error,
-            orientation_error=orientation_error,
+            position_error=max(position_error for position_error, _ in errors),
+            orientation_error=max(orientation_error for _, orientation_error in errors),
             duration=duration,
             reason=reason,
             log=log,

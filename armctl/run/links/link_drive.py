@@ -95,8 +95,8 @@ class LinkDrive:
             self._mirror.show(reading.t, reading.q, reading.v)
         return self._mirror.state(self.dt)
 
-    def tip_pose(self, arm: Arm) -> Pose:
-        return arm.fk(self.state.q)
+    def tip_pose(self, arm: Arm, tip: str | None = None) -> Pose:
+        return arm.fk(self.state.q, tip)
 
     def is_still(self, joints: slice) -> bool:
         """Whether the positions of some joints have not changed for a moment."""

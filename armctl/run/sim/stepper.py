@@ -228,11 +228,11 @@ class Stepper:
         """(n,) N m at the joints, of the motors in the last tick; what else acts on a joint, as friction, is not among it."""
         return self._built.motor_torque
 
-    def tip_pose(self, arm: Arm) -> Pose:
-        """The pose of an arm's tip in the simulation now, T_world_tip."""
+    def tip_pose(self, arm: Arm, tip: str | None = None) -> Pose:
+        """The pose of one of an arm's tips in the simulation now, T_world_tip; of the first one if left out."""
         mujoco.mj_kinematics(self.model, self.data)
-        body = arm.tip_body
-        return computed_pose(self.data.xpos[body], self.data.xmat[body].reshape(3, 3)) @ arm.T_body_tip
+        frame = arm.tip_frames[0 if tip is None else arm.tips.index(tip)]
+        return computed_pose(self.data.xpos[frame.body], self.data.xmat[frame.body].reshape(3, 3)) @ frame.T_body_tip
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Sets time to 0 and the joints to q, rad, and v, rad/s; home and rest by default. Everything else is at home."""

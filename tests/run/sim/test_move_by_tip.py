@@ -1,0 +1,134 @@
+"""Moves of several tips at once, and of an arm on a base that moves. MuJoCo judges."""
+
+import mujoco
+import numpy as np
+import pytest
+from arms import MISSING, at_hand
+from synthetic import limb, mjcf, motors
+
+import armctl
+from armctl import STAY, Pose, RelativeTo
+
+pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+
+LINK = '<geom type="capsule" fromto="0.06 0 0 0.26 0 0" size="0.02" mass="0.5"/>'
+
+
+def standing(side, y):
+    """An arm of four joints on a base."""
+    joint = '<joint name="{0}{1}" axis="{2}" range="-2.6 2.6"/>'
+    wrist = f'<body pos="0.3 0 0">{joint.format(side, 4, "0 0 1")}{LINK}<site name="{side}" pos="0.3 0 0"/></body>'
+    fore = f'<body pos="0.3 0 0">{joint.format(side, 3, "0 1 0")}{LINK}{wrist}</body>'
+    upper = f'<body pos="0 0 0.1">{joint.format(side, 2, "0 1 0")}{LINK}{fore}</body>'
+    shoulder = f'{joint.format(side, 1, "0 0 1")}<geom size="0.03" mass="0.5"/>{upper}'
+    return f'<body name="base_{side}" pos="0 {y} 0.4">{shoulder}</body>'
+
+
+TWO = mjcf(standing("l", 0.25) + standing("r", -0.25), motors("l1 l2 l3 l4 r1 r2 r3 r4") + '<option timestep="0.001"/>')
+
+
+@pytest.fixture
+def simulation():
+    return armctl.Simulation(armctl.load(mujoco.MjSpec.from_string(TWO)))
+
+
+def site(simulation, name):
+    return simulation.data.site(name).xpos.copy()
+
+
+def test_both_tips_arrive_and_never_touch(simulation):
+    simulation.move_j([0.3, 0.5, 0.6, 0.1, -0.3, 0.5, 0.6, -0.1])
+    left = site(simulation, "l")
+    right = site(simulation, "r")
+    crossed = {"l": left + np.array([0.0, -0.2, 0.1]), "r": right + np.array([0.0, 0.05, 0.1])}
+    result = simulation.move_to(crossed)
+    assert result
+    for name, target in crossed.items():
+        assert np.linalg.norm(site(simulation, name) - target) < 1e-3
+    assert not result.log.contacts
+    assert result.clearance > 0.0
+    assert result.position_error < 1e-3
+
+
+def test_a_tip_that_stays_is_where_it_was_at_the_end(simulation):
+    simulation.move_j([0.3, 0.5, 0.6, 0.1, -0.3, 0.5, 0.6, -0.1])
+    right = site(simulation, "r")
+    result = simulation.move_to({"l": site(simulation, "l") + np.array([0.05, 0.0, 0.1]), "r": STAY})
+    assert result
+    assert np.linalg.norm(site(simulation, "r") - right) < 1e-3
+
+
+def test_a_relative_tip_ends_where_the_other_one_takes_it(simulation):
+    simulation.move_j([0.3, 0.5, 0.6, 0.1, -0.3, 0.5, 0.6, -0.1])
+    left = site(simulation, "l") + np.array([0.03, 0.02, 0.05])
+    arm = simulation.arm
+    pose = arm.fk(simulation.state.q, "l")
+    offset = pose.inverse().matrix @ np.append(site(simulation, "r"), 1.0)
+    assert simulation.move_to({"l": left, "r": RelativeTo("l", offset[:3])})
+    moved = arm.fk(simulation.state.q, "l").matrix @ offset
+    assert np.linalg.norm(site(simulation, "r") - moved[:3]) < 1e-3
+
+
+def test_targets_that_cannot_be_reached_move_nothing_and_are_told_apart(simulation):
+    before = simulation.state.q
+    result = simulation.move_to({"l": [0.0, 0.0, 5.0], "r": site(simulation, "r")})
+    assert not result
+    assert result.log is None
+    assert "l is " in result.reason
+    assert "r is there" in result.reason
+    assert simulation.state.q.tolist() == before.tolist()
+
+
+@pytest.mark.parametrize(
+    ("target", "text"),
+    [
+        ({"x": [0.0, 0.0, 0.5]}, "unknown tip"),
+        ({}, "no tip has a target"),
+        ([0.3, 0.0, 0.5], "a pose is for one"),
+        ({"l": [0.0, np.inf, 0.0]}, "finite"),
+    ],
+)
+def test_wrong_targets_are_one_sentence(simulation, target, text):
+    with pytest.raises(armctl.ArmctlError, match=text):
+        simulation.move_to(target)
+    with pytest.raises(armctl.InputError, match="keep"):
+        simulation.move_to({"l": [0.3, 0.2, 0.5]}, keep="z")
+
+
+def test_an_arm_with_one_tip_takes_a_target_by_its_name():
+    simulation = armctl.Simulation("robot_arm_3dof")
+    assert simulation.move_to({simulation.arm.tip: [0.4, 0.1, 0.35]})
+    assert np.linalg.norm(simulation.tip.position - np.array([0.4, 0.1, 0.35])) < 1e-3
+
+
+def test_an_arm_on_a_planar_base_goes_around_a_wall():
+    cart = (
+        '<body name="cart" pos="0 0 0.3"><geom type="box" size="0.15 0.15 0.1" mass="5"/>'
+        + limb("a b c").replace('contype="0" conaffinity="0"', "").replace('pos="0.1 0 0.1"', 'pos="0.02 0 0.12"')
+        + "</body>"
+    )
+    scene = armctl.Scene().add_box("wall", [0.1, 2.0, 1.0], [1.0, 0.0, 0.5])
+    arm = armctl.load(mujoco.MjSpec.from_string(mjcf(cart, motors("a b c"))), base="planar", scene=scene)
+    simulation = armctl.Simulation(arm)
+    tip = simulation.tip.position
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        side = 2.0 if simulation.tip.position[0] < 1.0 else -1.0
+        target = np.array([side, rng.uniform(-1.0, 1.0), tip[2]])
+        result = simulation.move_to(target)
+        assert result, result.reason
+        assert np.linalg.norm(simulation.tip.position - target) < 1e-3
+        assert "wall" not in {contact.other for contact in result.log.contacts}
+
+
+def test_both_arms_of_aloha_swap_places():
+    if not at_hand("aloha"):
+        pytest.skip(f"aloha: {MISSING}")
+    simulation = armctl.Simulation("aloha")
+    arm = simulation.arm
+    poses = {tip: arm.fk(arm.home, tip) for tip in arm.tips}
+    near = {tip: Pose(pose.position + np.array([0.0, 0.05, -0.05]), quat=pose.quat) for tip, pose in poses.items()}
+    result = simulation.move_to(near)
+    assert result, result.reason
+    for tip, pose in near.items():
+        assert arm.fk(simulation.state.q, tip).position == pytest.approx(pose.position, abs=1e-3)
