@@ -31,6 +31,7 @@ from armctl.model.arm.joint_map import JointMap
 from armctl.model.arm.mechanics import Mechanics
 from armctl.model.arm.pinocchio_model import PinocchioModel, TipFrame, build_pinocchio_model
 from armctl.model.mjmodel.edit import add_payload
+from armctl.model.mjmodel.queries import joints_above
 
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
 _TWO_TURNS = 4.0 * math.pi  # rad (m)
@@ -144,6 +145,23 @@ class Arm(ArmEquations):
     def tip_frames(self) -> tuple[TipFrame, ...]:
         """All tips, as frames in bodies of the model."""
         return (TipFrame(self.tip, self.tip_body, self.T_body_tip), *self.further_tips)
+
+    def joints_to(self, tip: str) -> tuple[int, ...]:
+        """Which of the n joints move a tip.
+
+        Args:
+            tip: Its name.
+
+        Returns:
+            Their indices in q, ascending.
+
+        Raises:
+            UnknownNameError: The arm has no such tip.
+        """
+        body = self.tip_frames[self._tip_number(tip)].body
+        joints = np.array(joints_above(self.model, body))
+        moved = self.joint_map.ratio[np.isin(self.joint_map.joints, joints)].any(axis=0)
+        return tuple(np.flatnonzero(moved).tolist())
 
     @cached_property
     def last_bodies(self) -> tuple[int, ...]:
@@ -399,15 +417,22 @@ class Arm(ArmEquations):
 
     def __repr__(self) -> str:
         tips = f"tips {', '.join(map(repr, self.tips))}" if self.further_tips else f"tip {self.tip!r}"
-        return f"Arm({self.name!r}, {self.n} joints, {tips})"
+        base = "" if self.base == "fixed" else f", {self.base} base"
+        return f"Arm({self.name!r}, {self.n} joints, {tips}{base})"
 
     def _repr_html_(self) -> str:
         columns = {"home": self.home, **{f.name: getattr(self.limits, f.name) for f in fields(self.limits)}}
         rows = [
-            [name, unit, *(f"{column[i]:.4g}" for column in columns.values())]
+            [str(i), name, unit, *(f"{column[i]:.4g}" for column in columns.values())]
             for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True))
         ]
-        return f"<p>{html.escape(repr(self))}</p>{Table(['joint', 'unit', *columns], rows).html()}"
+        page = f"<p>{html.escape(repr(self))}</p>"
+        if self.further_tips:
+            places = {tip: ", ".join(f"{x:.4g}" for x in self.fk(self.home, tip).position) for tip in self.tips}
+            moving = {tip: ", ".join(map(str, self.joints_to(tip))) for tip in self.tips}
+            tips = [[tip, places[tip], moving[tip]] for tip in self.tips]
+            page += Table(["tip", "at home, m", "moved by q"], tips).html()
+        return page + Table(["q", "joint", "unit", *columns], rows).html()
 
 
 def with_model(arm: Arm, model: mujoco.MjModel) -> Arm:

@@ -105,9 +105,11 @@ def several_limbs(analysis: Transmissions, base: int = 0, before: Joints = ()) -
     behind = {run.joints[len(before) :] for run in _longest(runs) if run.base == 0 and run.joints[: len(before)] == before}
     ends = {joints[: fingers.end_of_arm(joints)] for joints in behind if joints}
     limbs = sorted({end for end in ends if not any(end == other[: len(end)] and end != other for other in ends)})
-    limbs = [limb for limb in limbs if not _is_wheel(model, limb, limbs)] or limbs
     if len(limbs) < 2:
         return []
+    without_wheels = [limb for limb in limbs if not _is_wheel(model, limb, limbs)]
+    if len(without_wheels) > 1:
+        limbs = without_wheels
     try:
         arm = find_chain(analysis, base)
     except ModelError:

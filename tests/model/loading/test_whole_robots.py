@@ -195,6 +195,10 @@ def test_wheels_are_no_limbs_of_a_robot_with_arms_and_are_named_as_held():
     assert "held at home: left and right" in robot.notes
     limited = base.replace('axis="0 1 0"/>', 'axis="0 1 0" range="-1 1"/>')
     assert load(limited, motors("a b c d e f left right")).n == 8
+    one_arm = base.replace(limb("d e f"), "")
+    assert load(one_arm, motors("a b c left right")).joint_names == ("a", "b", "c")
+    short = one_arm.replace(limb("a b c"), limb("a"))
+    assert load(short, motors("a left right")).n == 3
     bent = base.replace('size="0.05 0.02"', 'size="0.05 0.02" pos="0.2 0 0"')
     assert load(bent, motors("a b c d e f left right")).n == 8
 
