@@ -70,6 +70,7 @@ def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnd
 def _chains_of(source: Source, analysis: Transmissions, ends: ArmEnds) -> list[tuple[Joints, Tip]]:
     """The joints and the tip of each chain of an arm: one, those to the caller's tips, or all limbs of a robot with several."""
     before = base_joints(analysis.model, ends.moving_base)
+    analysis.of_chain(before)  # raises ModelError if a loop holds the base
     limbs = several_limbs(analysis, _base(analysis, ends), before) if ends.tip is None and ends.base is None else []
     if limbs and (source.row is None or source.row.tip is None):
         chains = _limbs_to_tips(analysis.model, limbs)

@@ -368,6 +368,9 @@ def _why_no_arm(analysis: Transmissions, base: int) -> str:
     if model.njnt == 0:
         return "no arm: the model has no joints"
     if not actuators:
+        reasons = {joint: _refusal(analysis, joint) for moments in analysis.moments for joint in moments}
+        if reason := next(filter(None, reasons.values()), ""):
+            return f"no arm: {reason}"  # there are actuators, on joints that a loop or a tendon ties to others
         return "no arm: no hinge or slide joint has an actuator; add one, such as <motor joint=...>, for each joint"
     below = [j for j in range(model.njnt) if is_below(model, int(model.jnt_bodyid[j]), base)]
     behind = [j for j in below if model.jnt_bodyid[j] != base]

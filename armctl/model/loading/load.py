@@ -37,6 +37,7 @@ from armctl.model.loading.model_checks import (
     check_memory,
     check_timestep,
     model_notes,
+    open_loop_notes,
 )
 from armctl.model.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.model.loading.scene import Scene
@@ -335,7 +336,8 @@ def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Loa
         warnings.warn(MissingShapeWarning(f"{name}: {note}", note), stacklevel=4)
         warned.append(prepared.shape_note)
     check_joint_parameters(prepared.model)
-    notes = [*warned, *prepared.info_notes]
+    open_loops = open_loop_notes(prepared.model, home_qpos(prepared.model, _joints(prepared.plans)))
+    notes = [*warned, *prepared.info_notes, *open_loops]
     arms = make_arms(name, prepared.model, prepared.plans, notes, recipe, prepared.unchecked_links)
     for arm in arms:
         check_mass_matrix(arm)

@@ -7,11 +7,13 @@ import numpy as np
 
 from armctl.core.errors import ModelError
 from armctl.core.note import Note
-from armctl.core.validation import shown
+from armctl.core.validation import Array, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.loading.catalog import arena_bytes
-from armctl.model.mjmodel.queries import body_name, joint_name
+from armctl.model.mjmodel.couplings import LOOP_EQUALITIES, bodies_of_loop
+from armctl.model.mjmodel.queries import body_name, joint_name, name_of
 
+_CLOSED_M = 1e-6  # by which the two points of a closed loop may differ
 _MAX_CONDITION = 1e15  # of the mass matrix; beyond it, no digit of an acceleration is right
 
 
@@ -64,6 +66,26 @@ def check_mass_matrix(arm: Arm) -> None:
             f"{arm.name}: the mass matrix at home is singular (condition {condition:.2g}, at most {_MAX_CONDITION:g}); "
             f"check masses and inertias; the largest is {model.body_mass[heaviest]:.3g} kg of {name}"
         )
+
+
+def open_loop_notes(model: mujoco.MjModel, qpos: Array) -> list[str]:
+    """A sentence for each connect or weld equality that is not closed at qpos (nq,), except those that pull at a mocap body."""
+    loops = [e for e in range(model.neq) if model.eq_active0[e] and int(model.eq_type[e]) in LOOP_EQUALITIES]
+    if not loops:
+        return []
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
+    of_equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    notes = []
+    for loop in loops:
+        gap = float(np.abs(data.efc_pos[of_equality & (data.efc_id == loop)][:3]).max(initial=0.0))
+        if gap > _CLOSED_M and not any(model.body_mocapid[body] >= 0 for body in bodies_of_loop(model, loop)):
+            label = shown(name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, loop))
+            notes.append(
+                f"the loop of the equality {label} is open by {1e3 * gap:.3g} mm at home, and a simulation pulls it together"
+            )
+    return notes
 
 
 def model_notes(model: mujoco.MjModel) -> list[str]:

@@ -7,7 +7,7 @@ from armctl.core.validation import shown
 from armctl.model.mjmodel.queries import joint_name, name_of
 
 JOINT_EQUALITY = int(mujoco.mjtEq.mjEQ_JOINT)
-_LOOP_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+LOOP_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
 class Couplings:
@@ -41,7 +41,7 @@ class Couplings:
                 continue
             label = shown(name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality))
             name = shown(joint_name(model, joint))
-            if model.eq_type[equality] in _LOOP_EQUALITIES:
+            if model.eq_type[equality] in LOOP_EQUALITIES:
                 return f"the equality {label} closes a loop over joint {name}"
             return f"joint {name} is coupled to another by the equality {label}"
         return ""
@@ -90,11 +90,19 @@ def dofs_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
         return [int(model.jnt_dofadr[j]) for j in ends if j >= 0]
     if kind == int(mujoco.mjtEq.mjEQ_TENDON):
         return [dof for tendon in ends if tendon >= 0 for dof in dofs_of_tendon(model, tendon)]
-    if kind in _LOOP_EQUALITIES:
-        of_site = model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE)
-        bodies = [int(model.site_bodyid[i]) if of_site else i for i in ends]
+    if kind in LOOP_EQUALITIES:
+        bodies = bodies_of_loop(model, equality)
         return sorted(_dofs_above(model, bodies[0]) ^ _dofs_above(model, bodies[1]))
     return list(range(model.nv))
+
+
+def bodies_of_loop(model: mujoco.MjModel, equality: int) -> tuple[int, int]:
+    """The two bodies that a connect or weld equality holds together."""
+    first = int(model.eq_obj1id[equality])
+    second = int(model.eq_obj2id[equality])
+    if model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE):
+        return int(model.site_bodyid[first]), int(model.site_bodyid[second])
+    return first, second
 
 
 def tendon_coefficients(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
