@@ -104,7 +104,9 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
         sizes = scale * np.tile(np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], arm.n), sides)
         responses = _impulse_responses(run, sizes, horizon, arm.n)
         if not np.isfinite(responses).all():
-            raise ModelError(f"{traits(controller).name:.80}: its torque after a small impulse is not finite; give smaller gains")
+            raise ModelError(
+                f"{traits(controller).name:.80}: its torque after a small impulse is not finite; give smaller gains"
+            )
         model = _realization(responses)
         error = _model_error(run, model, sizes, 3 * horizon)
         if error <= _MAX_MODEL_ERROR:
