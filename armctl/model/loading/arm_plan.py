@@ -154,6 +154,7 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
     driven = tuple(joint for joint in joints if joint not in analysis.springs)
     doubts = unit_doubts(model, driven, tip.body, tip.T_body_tip.position)
     is_chosen = ends.tip is None and source.urdf is not None
+    held = held_note(analysis, joints, None if others else int(model.jnt_bodyid[chain[-1]]))
     return ArmPlan(
         joints=driven,
         chain_length=sum(joint not in analysis.springs for joint in chain),
@@ -170,7 +171,7 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
             *(note for each, _ in chains for note in end_note(analysis, each)),
             *(axis_note(model, chain, tip) if is_chosen else []),
         ),
-        info_notes=(*quiet, *(held_note(analysis, joints) if others else [])),
+        info_notes=(*quiet, *(held if ends.tip is None or others else [])),
         further_tips=tuple(other for _, other in others),
         base=ends.moving_base or "fixed",
     )

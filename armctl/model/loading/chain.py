@@ -187,15 +187,21 @@ def end_note(analysis: Transmissions, joints: Joints) -> list[str]:
     return [f"the arm ends before joint {joint_name(model, following)!r}, which has no actuator of its own and is held"]
 
 
-def held_note(analysis: Transmissions, joints: Joints) -> list[str]:
-    """One sentence on the joints of a robot that are none of an arm's and stay at home, and the first reason; or none."""
+def held_note(analysis: Transmissions, joints: Joints, end: int | None = None) -> list[str]:
+    """One sentence on the joints of a robot that are none of an arm's and stay at home, and the first reason; or none.
+
+    With the body `end` of an arm's last joint, they are only those beside the arm that cannot be driven: another limb, perhaps.
+    """
     model = analysis.model
     moved = {joint for transmission in analysis.of_chain(joints) for joint in transmission.coupled} | set(joints)
     roots = robot_roots(model, joints)
     rest = [j for j in range(model.njnt) if j not in moved and int(model.body_rootid[model.jnt_bodyid[j]]) in roots]
+    reasons = {joint: _refusal(analysis, joint) for joint in rest}
+    if end is not None:
+        rest = [joint for joint in rest if reasons[joint] and not is_below(model, int(model.jnt_bodyid[joint]), end)]
     if not rest:
         return []
-    reason = next(filter(None, (_refusal(analysis, joint) for joint in rest)), "")
+    reason = next(filter(None, (reasons[joint] for joint in rest)), "")
     names = few_names([joint_name(model, joint) for joint in rest])
     return [f"held at home: {names}" + (f"; {reason}" if reason else "")]
 

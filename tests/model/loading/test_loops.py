@@ -96,3 +96,12 @@ def test_a_loop_that_is_open_at_home_is_noted():
         "open by" in note
         for note in load(wrist, inactive + '<keyframe><key name="home" qpos="0 0 0 0.5 -0.2"/></keyframe>').notes
     )
+
+
+def test_a_limb_that_is_left_out_because_of_a_loop_is_noted():
+    rest = motors("a b c d") + '<equality><connect name="foot" body1="B" anchor="0 0 0"/></equality>'
+    trunk = f'<body name="trunk" pos="0 0 1"><geom size="0.1"/>{limb("a b")}{limb("c d")}</body>'
+    arm = load(trunk, rest)
+    assert arm.joint_names == ("c", "d")
+    assert "held at home: a and b; the equality 'foot' closes a loop over joint 'a'" in arm.notes
+    assert not any("held at home" in note for note in load(trunk, rest, tip="D").notes)
