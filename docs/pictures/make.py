@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
+import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image as Picture
@@ -75,6 +76,25 @@ def shelf() -> None:
     sim.reset()
     log = sim.run(moves[0].then(moves[1]))
     record(log, sim.arm, HERE / "shelf.gif", size=(400, 300), quality="fast", speed=0.75)
+
+
+def humanoid() -> None:
+    """A humanoid at its keyframe, and reaching with both hands while its feet stay: the start and the end of an example."""
+    run = runpy.run_path(str(HERE.parents[1] / "examples" / "67_a_humanoid_reaches.py"))
+    robot = run["robot"]
+    data = mujoco.MjData(robot.model)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = [0.1, 0.0, 0.85]
+    camera.distance, camera.azimuth, camera.elevation = 3.0, 130.0, -8.0
+    robot.model.vis.global_.offwidth, robot.model.vis.global_.offheight = 900, 1000
+    pictures = []
+    with mujoco.Renderer(robot.model, 1000, 900) as renderer:
+        for q in (robot.home, run["q"]):
+            data.qpos[:] = robot.qpos(q)
+            mujoco.mj_forward(robot.model, data)
+            renderer.update_scene(data, camera)
+            pictures.append(renderer.render())
+    Picture.fromarray(np.hstack(pictures)).resize((900, 500)).save(HERE / "humanoid.png")
 
 
 def four_panels() -> None:
@@ -284,7 +304,7 @@ def draw(picture: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    wanted = [drag, shelf, four_panels, loop, pd_against_computed_torque, waypoints, study, polish, page]
+    wanted = [drag, shelf, humanoid, four_panels, loop, pd_against_computed_torque, waypoints, study, polish, page]
     chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
     drawn = [draw(picture) for picture in chosen]
     sys.exit(0 if all(drawn) else 1)
