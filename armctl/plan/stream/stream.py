@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError
 from armctl.core.pose import Pose, computed_pose, rotation_from_vector
 from armctl.core.target import Target, TargetLike
+from armctl.core.tip_targets import Stay, TipTargets, targets_by_tip
 from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array, flag, instance, integer, matrix, number, shown, vector
-from armctl.model.arm.arm import Arm
+from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.model.collision.checkers import checkable
 from armctl.plan.ik.differential import DifferentialIk
 from armctl.plan.ik.ik_result import FAR_M
@@ -40,6 +41,7 @@ _TWIST_STEPS = 4
 _MAX_TWIST = 100.0  # m/s, rad/s: no arm is as fast
 # A joint that turns further for a smaller step of the target changes the posture of the arm.
 _POSTURE_CHANGE = 0.5  # rad (m)
+_STEPS_BY_TIP = 8  # of differential inverse kinematics, from target to target
 _SMALL_STEP_M = 0.05
 _SMALL_STEP_RAD = 0.2
 
@@ -146,6 +148,7 @@ class Stream:
         self._sums = np.zeros(4)  # of v e, v v, e e, and their number
         self._obstacle = ""
         self._device: tuple[Pose, Pose] | None = None
+        self._held: dict[str, Pose] = {}  # where tips stay
         self._previous: Array | None = None
         pieces = self._planner.stop(JointState(start.q, start.v, start.a))
         if pieces is None:
@@ -252,7 +255,7 @@ class Stream:
         self._targets.push_chunk(t, clamped)
         self._plan()
 
-    def push_pose(self, t: float, target: TargetLike) -> None:
+    def push_pose(self, t: float, target: TargetLike | TipTargets) -> None:
         """Takes a target of the tip: inverse kinematics makes it a target of the joints, near the last one.
 
         The nearest point is used instead of one out of reach. Where the target moves on, but only another posture of the arm
@@ -260,13 +263,18 @@ class Stream:
 
         Args:
             t: s, in the stream's time; at most a minute ahead.
-            target: T_world_tip, or (3,) m if any orientation is accepted; after `clutch`, in the frame of the device.
+            target: T_world_tip, or (3,) m if any orientation is accepted; after `clutch`, in the frame of the device; or
+                targets by tip, as for `solve_ik`, in the world.
 
         Raises:
             InputError: A wrong shape, a number that is not finite, or a time more than a minute ahead; nothing changes.
             LimitError: The target is more than 10 m out of reach, as one in millimetres; nothing changes.
         """
         time = self._time("t", t)
+        if isinstance(target, Mapping):
+            self.push(time, self._configuration_by_tip(target))
+            return
+        check_one_tip(self._arm)
         goal = Target.read(target)
         if self._device is not None and goal.pose is not None:
             goal = Target.read(self._reanchored(goal.pose), goal.tolerance, goal.angle_tolerance)
@@ -279,6 +287,29 @@ class Stream:
         if np.abs(q - last).max() > _POSTURE_CHANGE and position_error < _SMALL_STEP_M and angle < _SMALL_STEP_RAD:
             q = self._limits.clamp(last + self._targets.interval * self._ik.step(last, goal, self._targets.interval))
         self.push(time, q)
+
+    def _configuration_by_tip(self, targets: TipTargets) -> Array:
+        """(n,) rad, the configuration for targets by tip, near the last one."""
+        arm = self._arm
+        last = self._targets.rest
+        staying = {tip for tip, target in targets.items() if isinstance(target, Stay)}
+        held = {tip: self._held[tip] if tip in self._held else arm.fk(last, tip) for tip in staying}
+        solution = solve_ik(arm, targets_by_tip(targets, held), last)
+        if solution.position_error > FAR_M:
+            raise LimitError(f"target: {solution.reason}")
+        self._held = held
+        if np.abs(solution.q - last).max() <= _POSTURE_CHANGE:
+            return solution.q
+        # As for a single target: a small step keeps the posture.
+        moved = [np.linalg.norm(arm.fk(solution.q, tip).position - arm.fk(last, tip).position) for tip in targets]
+        if max(moved) >= _SMALL_STEP_M:
+            return solution.q
+        self._ik.reset()
+        q = last
+        step = self._targets.interval / _STEPS_BY_TIP
+        for _ in range(_STEPS_BY_TIP):
+            q = q + step * self._ik.step(q, targets_by_tip(targets, held), step)
+        return self._limits.clamp(q)
 
     def push_twist(self, linear: ArrayLike, angular: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Takes a velocity of the tip, as a joystick gives it. The arm comes to rest if it is not renewed within 0.2 s.

@@ -416,3 +416,33 @@ def test_contradictory_exact_targets_are_named(torso):
     assert not found
     assert np.isfinite(found.q).all()
     assert "right is " in found.reason
+
+
+def test_a_stream_takes_targets_by_tip(torso):
+    """Both tips follow; one that stays does so at every target; the stream keeps its limits as with any target."""
+    home = 0.5 * configurations(torso, 1, seed=9)[0]
+    stream = armctl.Stream(torso, home)
+    left, right = (torso.fk(home, tip) for tip in torso.tips)
+    dt = 0.004
+    before = stream.setpoint
+    slip = 0.0
+    for k in range(500):
+        t = k / 30
+        if t > 3.0:
+            break
+        goal = Pose(left.position + 0.05 * np.array([np.sin(t), 0.0, 1.0 - np.cos(t)]), quat=left.quat)
+        stream.push_pose(stream.t + 0.05, {"left": goal, "right": STAY})
+        for _ in range(8):
+            setpoint = stream.step(dt)
+            assert (np.abs(setpoint.v) <= torso.limits.v_max * (1 + 1e-9)).all()
+            assert (np.abs(setpoint.a) <= torso.limits.a_max * (1 + 1e-6)).all()
+            slip = max(slip, gap(torso, setpoint.q, "right", right)[0])
+        before = setpoint
+    assert gap(torso, before.q, "left", goal)[0] < 0.02
+    assert slip < 0.01
+    with pytest.raises(armctl.InputError, match="a pose is for one"):
+        stream.push_pose(stream.t + 0.1, [0.3, 0.0, 0.3])
+    with pytest.raises(armctl.UnknownNameError, match="did you mean 'right'"):
+        stream.push_pose(stream.t + 0.1, {"rigth": [0.3, 0.0, 0.3]})
+    with pytest.raises(armctl.LimitError, match="left is"):
+        stream.push_pose(stream.t + 0.1, {"left": [300.0, 0.0, 300.0]})
