@@ -1,69 +1,44 @@
-"""Drawings of linear loops: Bode and Nyquist plots, step responses, and a page of panels for a loop of an arm."""
+"""The drawing of a loop of an arm: panels with its Bode and Nyquist plots, step response, sensitivity and compliance."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from armctl.core.defaults import MAX_PEAK_SENSITIVITY
 from armctl.core.plotting import COLORS
+from armctl.core.validation import Array
+from armctl.lab.loops.loop_responses import BOUND, Bode, Nyquist, StepResponse, draw_bode, draw_nyquist, draw_step
+from armctl.lab.loops.state_space import ComplexArray
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from armctl.lab.loops.loop import Loop
-    from armctl.lab.loops.loop_responses import Bode, Nyquist, StepResponse
-
 LOOP_SIZE_INCHES = (13.0, 7.4)
-_BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
-_HALF_TURN_DEGREES = 180.0
 
 
-def draw_bode(axes: Sequence[Axes], bode: Bode) -> None:
-    """Magnitude and phase of each joint's loop over frequency, in two axes."""
-    gain, phase = axes
-    hertz = bode.w / (2 * np.pi)
-    for i, name in enumerate(bode.names):
-        color = COLORS[i % len(COLORS)]
-        gain.loglog(hertz, bode.magnitude[:, i], color=color, label=name)
-        phase.semilogx(hertz, np.degrees(bode.phase[:, i]), color=color)
-    gain.axhline(1.0, **_BOUND)
-    gain.set_ylabel("loop gain |L|")
-    phase.axhline(-_HALF_TURN_DEGREES, **_BOUND)
-    phase.set_ylim(-3 * _HALF_TURN_DEGREES, 0.5 * _HALF_TURN_DEGREES)
-    phase.set_yticks(np.arange(-3, 1) * _HALF_TURN_DEGREES)
-    phase.set_ylabel("phase, deg")
-    phase.set_xlabel("frequency, Hz")
-    if len(bode.names) > 1:
-        gain.legend(loc="best")
+class DrawnLoop(Protocol):
+    """What is drawn of the loop of an arm."""
+
+    @property
+    def n(self) -> int: ...
+
+    @property
+    def title(self) -> str: ...
+
+    def bode(self) -> Bode: ...
+
+    def nyquist(self, w: Array) -> Nyquist: ...
+
+    def step_response(self) -> StepResponse: ...
+
+    def sensitivity(self, w: Array) -> ComplexArray: ...
+
+    def compliance(self, w: Array) -> Array: ...
 
 
-def draw_nyquist(axes: Axes, nyquist: Nyquist) -> None:
-    """The curves around -1."""
-    for i, name in enumerate(nyquist.names):
-        axes.plot(nyquist.curve[:, i].real, nyquist.curve[:, i].imag, color=COLORS[i % len(COLORS)], label=name)
-    angle = np.linspace(0.0, 2 * np.pi, 200)
-    axes.plot(np.cos(angle) / MAX_PEAK_SENSITIVITY - 1, np.sin(angle) / MAX_PEAK_SENSITIVITY, **_BOUND)
-    axes.plot(-1.0, 0.0, marker="+", color="black")
-    axes.set_xlim(-3.0, 1.0)
-    axes.set_ylim(-2.0, 2.0)
-    axes.set_aspect("equal")
-    axes.set_xlabel("real part of L")
-    axes.set_ylabel("imaginary part of L")
-
-
-def draw_step(axes: Axes, response: StepResponse) -> None:
-    """The responses of all joints over time."""
-    for i, name in enumerate(response.names):
-        axes.plot(response.t, response.y[:, i], color=COLORS[i % len(COLORS)], label=name)
-    axes.set_ylabel(response.quantity + (f", {response.unit}" if response.unit else ""))
-    axes.set_xlabel("time, s")
-
-
-def draw_loop(figure: Figure, loop: Loop, *, title: bool = True) -> None:
+def draw_loop(figure: Figure, loop: DrawnLoop, *, title: bool = True) -> None:
     """Six panels: loop gain and phase, Nyquist curve, step response, sensitivity of each joint, and the tip's compliance."""
     panels = figure.subplot_mosaic([["gain", "nyquist", "sensitivity"], ["phase", "step", "compliance"]])
     bode = loop.bode()
@@ -79,7 +54,7 @@ def draw_loop(figure: Figure, loop: Loop, *, title: bool = True) -> None:
     diagonal = np.abs(np.diagonal(loop.sensitivity(bode.w), axis1=1, axis2=2))
     for i in range(loop.n):
         sensitivity.loglog(hertz, diagonal[:, i], color=COLORS[i % len(COLORS)])
-    sensitivity.axhline(1.0, **_BOUND)
+    sensitivity.axhline(1.0, **BOUND)
     sensitivity.set_title("sensitivity |S| of each joint")
     sensitivity.set_xlabel("frequency, Hz")
     compliance = panels["compliance"]

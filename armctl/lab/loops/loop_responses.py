@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from armctl.core.plotting import finish_axes
+from armctl.core.defaults import MAX_PEAK_SENSITIVITY
+from armctl.core.plotting import COLORS, finish_axes
 from armctl.core.validation import Array
-from armctl.lab.loops.loop_figures import draw_bode, draw_nyquist, draw_step
 from armctl.lab.loops.stability import loop_frequencies
 from armctl.lab.loops.state_space import ComplexArray, StateSpace
 
@@ -31,6 +31,10 @@ MAX_STEP_TICKS = 20_000
 _REFINEMENTS = 3  # of a peak between two points of a grid, each by a twentieth of it
 _POINTS_PER_REFINEMENT = 41
 _SCALING_STEPS = 80  # after which the bound of a structured singular value decreases by less than 0.1 %
+
+
+BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
+_HALF_TURN_DEGREES = 180.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -373,3 +377,44 @@ def _structured_bounds(matrices: ComplexArray) -> Array:
         slope = np.abs(left[:, :, 0]) ** 2 - np.abs(right[:, 0, :]) ** 2
         logarithms -= slope / (1.0 + step) ** 0.5
     return best
+
+
+def draw_bode(axes: Sequence[Axes], bode: Bode) -> None:
+    """Magnitude and phase of each joint's loop over frequency, in two axes."""
+    gain, phase = axes
+    hertz = bode.w / (2 * np.pi)
+    for i, name in enumerate(bode.names):
+        color = COLORS[i % len(COLORS)]
+        gain.loglog(hertz, bode.magnitude[:, i], color=color, label=name)
+        phase.semilogx(hertz, np.degrees(bode.phase[:, i]), color=color)
+    gain.axhline(1.0, **BOUND)
+    gain.set_ylabel("loop gain |L|")
+    phase.axhline(-_HALF_TURN_DEGREES, **BOUND)
+    phase.set_ylim(-3 * _HALF_TURN_DEGREES, 0.5 * _HALF_TURN_DEGREES)
+    phase.set_yticks(np.arange(-3, 1) * _HALF_TURN_DEGREES)
+    phase.set_ylabel("phase, deg")
+    phase.set_xlabel("frequency, Hz")
+    if len(bode.names) > 1:
+        gain.legend(loc="best")
+
+
+def draw_nyquist(axes: Axes, nyquist: Nyquist) -> None:
+    """The curves around -1."""
+    for i, name in enumerate(nyquist.names):
+        axes.plot(nyquist.curve[:, i].real, nyquist.curve[:, i].imag, color=COLORS[i % len(COLORS)], label=name)
+    angle = np.linspace(0.0, 2 * np.pi, 200)
+    axes.plot(np.cos(angle) / MAX_PEAK_SENSITIVITY - 1, np.sin(angle) / MAX_PEAK_SENSITIVITY, **BOUND)
+    axes.plot(-1.0, 0.0, marker="+", color="black")
+    axes.set_xlim(-3.0, 1.0)
+    axes.set_ylim(-2.0, 2.0)
+    axes.set_aspect("equal")
+    axes.set_xlabel("real part of L")
+    axes.set_ylabel("imaginary part of L")
+
+
+def draw_step(axes: Axes, response: StepResponse) -> None:
+    """The responses of all joints over time."""
+    for i, name in enumerate(response.names):
+        axes.plot(response.t, response.y[:, i], color=COLORS[i % len(COLORS)], label=name)
+    axes.set_ylabel(response.quantity + (f", {response.unit}" if response.unit else ""))
+    axes.set_xlabel("time, s")
