@@ -138,7 +138,9 @@ private:
 
     int parent(int joint) const { return dynamics_.model().joints[static_cast<size_t>(joint)].parent; }
 
-    static Vec3 column(const TaskRows& rows, size_t first, size_t i) { return {rows.J(first, i), rows.J(first + 1, i), rows.J(first + 2, i)}; }
+    static Vec3 column(const TaskRows& rows, size_t first, size_t i) {
+        return {rows.J(first, i), rows.J(first + 1, i), rows.J(first + 2, i)};
+    }
 
     // An orientation whose z axis points from the tip to the goal.
     Rotation towards(const Pose& tip, const Pose& goal) const {
