@@ -20,7 +20,7 @@ from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose
 from armctl.core.pose import rotation_from_vector
 from armctl.model.collision.checkers import collision_checker
 from armctl.model.loading.catalog import BUNDLED
-from armctl.plan.ik.differential import add_inequalities, allows_zero, solved
+from armctl.plan.ik.target_program import add_inequalities, allows_zero, solved
 from armctl.plan.ik.tasks import ClearanceLimit, null_step
 
 every_arm = pytest.mark.parametrize("name", some_of(ARMS))
