@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
-from armctl.core.validation import Array, instance, shown, vector
+from armctl.core.validation import Array, instance, matrix, shown, vector
 
 
 class Stay:
@@ -94,8 +94,8 @@ def read_polygon(what: str, polygon: ArrayLike | None) -> Array:
     """
     if polygon is None:
         return np.empty((0, 3))
-    corners = np.asarray(polygon, float)
-    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+    corners = matrix(what, polygon, 2)
+    if len(corners) < 3:
         raise InputError(f"{what}: expected the corners (K, 2) of a polygon, m, at least three, got {shown(polygon)}")
     edges = np.roll(corners, -1, axis=0) - corners
     turns = edges[:, 0] * np.roll(edges[:, 1], -1) - edges[:, 1] * np.roll(edges[:, 0], -1)

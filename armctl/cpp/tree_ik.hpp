@@ -75,7 +75,8 @@ public:
         Numbers best(q0);
         double least = INF;
         TreeSearch outcome{.solved = false, .starts = 0, .steps = 0};
-        for (std::int64_t start = starts.first; start < starts.last && !outcome.solved; ++start) {
+        const auto is_worthwhile = [&] { return is_promising(outcome.starts, true, least / static_cast<double>(tasks_.size())); };
+        for (std::int64_t start = starts.first; start < starts.last && !outcome.solved && is_worthwhile(); ++start) {
             copy(q0, trial_);
             if (start > 0) { random_start(start, starts.seed, trial_); }
             const Descent descent = descend(tolerances, false, trial_);

@@ -12,7 +12,7 @@ from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, instance, shown
 from armctl.model.loading.actuators import actuator_notes, dc_motors
-from armctl.model.loading.base import base_joints
+from armctl.model.loading.base import BASE_JOINTS, base_joints
 from armctl.model.loading.catalog import Source
 from armctl.model.loading.chain import chain_to, end_note, find_chain, held_note, several_limbs
 from armctl.model.loading.joint_limits import JointData, datasheet_limits, default_speeds, torque_limits
@@ -20,7 +20,7 @@ from armctl.model.loading.tip import Tip, axis_note, named_tip, tip_of_chain
 from armctl.model.loading.unit_checks import unit_doubts
 from armctl.model.loading.urdf import speed_limits
 from armctl.model.mjmodel.dc_motor import DcMotor
-from armctl.model.mjmodel.queries import Joints, body_name, body_named, is_below, joint_name
+from armctl.model.mjmodel.queries import Joints, body_name, body_named, is_below, joint_name, object_id
 from armctl.model.mjmodel.transmissions import Transmission, Transmissions
 
 
@@ -118,8 +118,12 @@ def _base(analysis: Transmissions, ends: ArmEnds) -> int:
         return int(analysis.model.jnt_bodyid[base_joints(analysis.model, ends.moving_base)[0]])
     if ends.base is None:
         return 0
-    instance("base", ends.base, str, "give the name of a body")
-    return body_named(analysis.model, ends.base)
+    instance("base", ends.base, str, "give the name of a body, 'planar' or 'free'")
+    model = analysis.model
+    if object_id(model, mujoco.mjtObj.mjOBJ_BODY, ends.base) < 0:
+        names = filter(None, (model.body(i).name for i in range(model.nbody)))
+        raise UnknownNameError.from_known("body", ends.base, [*BASE_JOINTS, *names])
+    return body_named(model, ends.base)
 
 
 def _further_chains(analysis: Transmissions, ends: ArmEnds) -> list[tuple[Joints, Tip]]:
@@ -149,7 +153,8 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
     if before and datasheet is not None:
         datasheet = datasheet.behind(default_speeds(model, transmissions[: len(before)]))
     motors = dc_motors(source, model, transmissions)
-    torques = torque_limits(model, transmissions, datasheet, motors, "actfrcrange" if source.urdf is None else "URDF effort")
+    own_limit = "actfrcrange" if source.urdf is None else "URDF effort"
+    torques = torque_limits(model, transmissions, datasheet, motors, own_limit, added=len(before))
     warned, quiet = actuator_notes(analysis, joints, transmissions, motors)
     driven = tuple(joint for joint in joints if joint not in analysis.springs)
     doubts = unit_doubts(model, driven, tip.body, tip.T_body_tip.position)

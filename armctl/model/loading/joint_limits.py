@@ -89,6 +89,7 @@ def torque_limits(
     datasheet: JointData | None,
     motors: Sequence[DcMotor | None],
     joint_limit: str = "actfrcrange",  # what the file calls the joint's own limit
+    added: int = 0,  # how many of the first joints armctl added: their motors are none of the robot's
 ) -> TorqueLimits:
     """The torque limits of an arm's joints in a model as compiled from its file, with its own actuators.
 
@@ -123,7 +124,8 @@ def torque_limits(
         v_max = default_speeds(model, transmissions) if published is None else published
         tau[unknown] = _assumed_torque(model, transmissions, v_max)[unknown]
         sources.add("assumed")
-        notes = (_assumed_torque_note(model, [transmissions[i].joint for i in np.flatnonzero(unknown).tolist()], tau[unknown]),)
+        noted = [i for i in np.flatnonzero(unknown).tolist() if i >= added]
+        notes = (_assumed_torque_note(model, [transmissions[i].joint for i in noted], tau[noted]),) if noted else ()
     return TorqueLimits(tau, ", ".join(sorted(sources)), notes)
 
 

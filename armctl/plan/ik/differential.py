@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from armctl.plan.ik.tasks import TipTask
 
 
+_ADDITIONS = "avoid, tasks, limits and constraints"
+
+
 class DifferentialIk:
     """Follows a target, or targets by tip, with joint velocities. Position and velocity limits hold even if the solver fails.
 
@@ -82,9 +85,7 @@ class DifferentialIk:
         if not arm.further_tips:
             self._program = TargetProgram(arm, rest, gain, avoid, clearance, tasks, limits, constraints, solver)
         elif avoid or tasks or limits or constraints:
-            raise InputError(
-                "avoid, tasks, limits, constraints: they are for an arm with one tip; give none for targets by tip"
-            )
+            raise InputError(f"{_ADDITIONS} are for an arm with one tip; give none for targets by tip")
 
     @property
     def tip(self) -> TipTask:
@@ -115,9 +116,13 @@ class DifferentialIk:
         start = vector("q", q, self.arm.n)
         self.arm.check_units("q", start)
         dt = number("dt", dt, 1e-9)
+        if not isinstance(target, Mapping) and len(self._polygon):
+            target = {self.arm.tip: target}
         if not isinstance(target, Mapping):
             v, self.status = self._only_program.step(start, target, dt, free_axis)
             return frozen(v)
+        if self._program is not None and self._program.has_additions:
+            raise InputError(f"target: {_ADDITIONS} are for a single target, not for targets by tip; leave one of both out")
         v, is_exact = self._tree.step(start, target, dt, free_axis)
         self.status = "solved" if is_exact else "held back"
         return frozen(v)

@@ -105,6 +105,11 @@ class IkBatch:
         return f"{int(self.ok.sum())} of {len(self)} solved"
 
 
+def no_solution_without_contact(starts: int, contact: str) -> str:
+    """Why all solutions of so many starts count for nothing; the last one's contact."""
+    return f"no solution without contact found in {starts} starts: {contact}"
+
+
 def failure_reason(out_of_reach: bool, position_error: float, orientation_error: float, starts: int, reach: float) -> str:
     """Why a best approximation with these errors, m and rad, is not a solution for an arm of this reach, m."""
     if position_error <= NEAR_ROUNDING * min(reach, 1.0) and orientation_error <= NEAR_ROUNDING:

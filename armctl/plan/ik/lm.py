@@ -10,6 +10,7 @@ from armctl.plan.ik.problem import IkProblem
 
 # Of 760 000 targets with joints at their bounds, on 38 arms, the slowest was solved after 778 starts, the next after 366.
 LM_STARTS = 2000
+CONTACT_STARTS = 300  # in which a solution without contact must be found
 # The search uses this share of the tolerances, so that rounding does not decide when the answer is measured.
 TOLERANCE_SHARE = 0.999
 NEARBY_TRIALS = 4

@@ -20,11 +20,10 @@ from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import checkable
 from armctl.plan.ik import lm
 from armctl.plan.ik.closed_form_solutions import closed_form_solutions
-from armctl.plan.ik.ik_result import IkResult, failure_reason
+from armctl.plan.ik.ik_result import IkResult, failure_reason, no_solution_without_contact
 from armctl.plan.ik.numerical_solutions import numerical_solutions, swept_joints
 from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, ik_chain, read_seed, read_start, read_target, read_tolerance
 
-CONTACT_STARTS = 300  # in which a solution without contact must be found
 NEAREST_STARTS = 64
 NEAREST_SAMPLE = 64  # solutions of a closed form
 NEAREST_PULLED = 8  # of them, if they are a sample of a self-motion
@@ -180,9 +179,7 @@ def _first_solution(
             return result
         in_contact = result
     if in_contact is not None:
-        return replace(
-            in_contact, reason=f"no solution without contact found in {candidate.starts} starts: {in_contact.reason}"
-        )
+        return replace(in_contact, reason=no_solution_without_contact(candidate.starts, in_contact.reason))
     effort = lm.best_effort(problem, candidate.q[None])
     position_error = float(effort.position_error[0])
     orientation_error = float(effort.orientation_error[0])
@@ -214,8 +211,8 @@ def _candidates(problem: IkProblem, stay_near: bool) -> Iterator[IkCandidate]:
     """Solutions in the order they are found; the last may be a best approximation."""
     start = 0
     iterations = 0
-    while start == 0 or start < CONTACT_STARTS:
-        found = lm.search(problem, start, lm.LM_STARTS if start == 0 else CONTACT_STARTS)
+    while start == 0 or start < lm.CONTACT_STARTS:
+        found = lm.search(problem, start, lm.LM_STARTS if start == 0 else lm.CONTACT_STARTS)
         q = lm.stay_near(problem, found) if start == 0 and stay_near else found.q
         start = int(found.next_start[0])
         iterations += int(found.iterations[0])

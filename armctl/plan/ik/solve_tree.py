@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +13,11 @@ from armctl.core.tip_targets import TipTargets, read_polygon
 from armctl.core.validation import Array, flag, frozen
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import checkable
-from armctl.plan.ik.ik_result import IkResult
+from armctl.plan.ik.ik_result import FAR_M, IkResult, no_solution_without_contact
+from armctl.plan.ik.lm import CONTACT_STARTS, LM_STARTS
 from armctl.plan.ik.problem import read_seed, read_starts, read_tolerance
 from armctl.plan.ik.tree_problem import TreeTasks, read_tasks, shortfall
 
-STARTS = 300
 NEAREST_STARTS = 24  # of them for the solution that is nearest to the start
 TOLERANCE_SHARE = 0.5  # of the tolerances, which rounding must not reach
 
@@ -51,36 +52,35 @@ def solve_tree(
     start = read_starts(arm, q0, 1)[0]
     goals = tree.targets(start)
     contact_at = checkable(arm).at if flag("avoid", avoid) else None
+    enough = NEAREST_STARTS if flag("nearest", nearest) else 0
     best: IkResult | None = None
-    distance = np.inf
-    solved = 0
-    for found in _candidates(
-        tree, goals, start, tolerances, read_seed(seed), NEAREST_STARTS if flag("nearest", nearest) else 0
-    ):
+    rank = (False, False, -np.inf)
+    starts = 0
+    for found in _candidates(tree, goals, start, tolerances, read_seed(seed)):
         contact = contact_at(found.q) if found.solved and contact_at is not None else ""
         result = _result(tree, goals, found, tolerances, contact)
-        solved += found.solved
-        away = float(np.linalg.norm(found.q - start))
-        if best is None or (result.ok, -away) > (best.ok, -distance):
+        own_rank = (result.ok, found.solved, -float(np.linalg.norm(found.q - start)))
+        if best is None or own_rank > rank:
             best = result
-            distance = away
-        if best.ok and not nearest:
-            break
+            rank = own_rank
+        if best.ok and found.starts >= enough:
+            return best
+        starts = found.starts
     assert best is not None  # the first candidate is one
-    return best
+    is_blocked = not best.ok and rank[1]
+    return replace(best, reason=no_solution_without_contact(starts, best.reason)) if is_blocked else best
 
 
 def _candidates(
-    tree: TreeTasks, goals: Array, start: Array, tolerances: tuple[float, float], seed: int, nearest_starts: int
+    tree: TreeTasks, goals: Array, start: Array, tolerances: tuple[float, float], seed: int
 ) -> Iterator[_Candidate]:
     """Solutions in the order they are found; the last may be a best approximation."""
     first = 0
     steps = 0
-    while first < (nearest_starts or STARTS):
+    while first < CONTACT_STARTS:
         q = start.copy()
         inner = (TOLERANCE_SHARE * tolerances[0], TOLERANCE_SHARE * tolerances[1])
-        last = nearest_starts if first > 0 and nearest_starts else STARTS
-        outcome = tree.core.search(goals, *inner, first, last, seed, q)
+        outcome = tree.core.search(goals, *inner, first, LM_STARTS, seed, q)
         first += outcome.starts
         steps += outcome.steps
         yield _Candidate(q, outcome.solved, first, steps)
@@ -92,7 +92,8 @@ def _result(tree: TreeTasks, goals: Array, found: _Candidate, tolerances: tuple[
     """The result of a candidate, measured; without a reason against it, it is a solution."""
     errors, outside = tree.errors(goals, found.q)
     missed = shortfall(tree.tasks, errors, outside, tolerances)
-    reason = f"{missed} in the best of {found.starts} starts" if missed else contact
+    units = "; positions are in metres" if errors[:, 0].max() > FAR_M else ""
+    reason = f"{missed} in the best of {found.starts} starts{units}" if missed else contact
     return IkResult(
         ok=not reason,
         q=frozen(found.q),

@@ -63,6 +63,11 @@ class TargetProgram:
         self._all_limits = [*self._limits, self._clearance] if self._clearance is not None else self._limits
         self._needs_kinematics = bool(self._limits or self._constraints or not self._is_alone)
 
+    @property
+    def has_additions(self) -> bool:
+        """Whether it has more than the target: clearances, or tasks, limits and constraints of mink."""
+        return bool(self._all_limits or self._constraints or not self._is_alone)
+
     def step(self, q: Array, target: TargetLike, dt: float, free_axis: str | None) -> tuple[Array, str]:
         """The joint velocity (n,) from q (n,) for the next dt, and how the step ended: `DifferentialIk.status`."""
         constraint, numbers = read_target(target, free_axis)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
-from weakref import finalize
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
@@ -16,14 +16,14 @@ from armctl.core.errors import InputError, UnknownNameError, few_names
 from armctl.core.pose import Pose
 from armctl.core.tip_targets import LookAt, RelativeTo, Stay, TipTarget, TipTargets
 from armctl.core.units import length_text
-from armctl.core.validation import Array, IntArray, instance, shown
-from armctl.model.arm.arm import Arm
+from armctl.core.validation import Array, IntArray, frozen, shown
+from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.mjmodel.queries import last_joint_above
 from armctl.plan.ik.problem import read_target
 
 _WORLD = -1
 _NO_ROTATION = np.zeros(9)
-_NOWHERE = np.zeros(12)
+_NOWHERE = frozen(np.zeros(12))
 _IN_THE_WORLD = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
 
 
@@ -167,19 +167,15 @@ def _miss(task: TreeTask, position: float, orientation: float, tolerances: tuple
     return f"{task.tip} is {' and '.join(parts)} {where}" if parts else ""
 
 
-# As for `ik_chain`. An arm's entry ends with the arm.
-_trees: dict[int, Tree] = {}
+_trees: WeakKeyDictionary[Arm, Tree] = WeakKeyDictionary()
 
 
 def tree_of(arm: Arm) -> Tree:
     """An arm as a tree, made once for each arm."""
-    tree = _trees.get(id(arm))
-    if tree is None:
-        instance("arm", arm, Arm, "armctl.load returns one")
-        tree = _make_tree(arm)
-        _trees[id(arm)] = tree
-        finalize(arm, _trees.pop, id(arm), None)
-    return tree
+    check_arm(arm)
+    if arm not in _trees:
+        _trees[arm] = _make_tree(arm)
+    return _trees[arm]
 
 
 def _make_tree(arm: Arm) -> Tree:

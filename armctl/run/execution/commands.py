@@ -206,6 +206,7 @@ class Commands:
         Raises:
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
+        check_one_tip(self.arm)
         goal = Target.read(target)
         end = goal.position if goal.pose is None else goal.pose
         return self._move_along(goal, partial(move_l, self.arm, self._start, end), **options)
@@ -226,6 +227,7 @@ class Commands:
             InputError: An argument of a wrong shape or out of its bounds, or the points are on one line.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
+        check_one_tip(self.arm)
         goal = Target.read(target)
         end = goal.position if goal.pose is None else goal.pose
         planner = partial(move_c, self.arm, self._start, via, end, angle=angle)
@@ -246,6 +248,7 @@ class Commands:
             InputError: An argument of a wrong shape or out of its bounds, or the path is empty.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
+        check_one_tip(self.arm)
         parts = read_path(path)
         last = parts[-1]
         ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
