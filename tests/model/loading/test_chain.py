@@ -179,7 +179,7 @@ def test_a_base_holds_what_is_above_it(load):
 def test_a_base_must_be_a_body_above_the_tip(load):
     with pytest.raises(armctl.ModelError, match="'B' is not attached to 'C'; choose a base among its ancestors"):
         load(limb("a b c"), motors("a b c"), base="C", tip="B")
-    with pytest.raises(armctl.UnknownNameError, match="unknown body 'BB'; known: world, A, B, BC"):
+    with pytest.raises(armctl.UnknownNameError, match="unknown body 'BB'; known: planar, free, world, A, B, BC"):
         load(limb("a b bc"), motors("a b bc"), base="BB")
     with pytest.raises(armctl.ModelError, match="no joint hangs on 'B'"):
         load(limb("a b"), motors("a b"), base="B")
