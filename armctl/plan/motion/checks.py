@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import vector
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.plan.motion.timing.otg import JointState, unavoidable_bounds
+from armctl.plan.motion.trajectory.limit_check import RATIO_TOLERANCE
 
 
 def planning_arm(arm: Arm, speed: float) -> Arm:
@@ -36,6 +37,39 @@ def start_state(arm: Arm, q_start: ArrayLike | Setpoint) -> Setpoint:
         return Setpoint(arm.checked("q_start", q_start), zero, zero)
     q = arm.checked("q_start", q_start.q)
     return Setpoint(q, vector("q_start.v", q_start.v, arm.n), vector("q_start.a", q_start.a, arm.n))
+
+
+def goal_state(arm: Arm, what: str, q_goal: ArrayLike | Setpoint) -> Setpoint:
+    """A caller's goal, called `what`: at rest at joint positions, or in motion if it is a setpoint.
+
+    LimitError if it is outside the limits. Its acceleration may lead the velocity out of them neither before nor after it.
+    """
+    zero = np.zeros(arm.n)
+    if not isinstance(q_goal, Setpoint):
+        return Setpoint(arm.checked(what, q_goal), zero, zero)
+    q = arm.checked(what, q_goal.q)
+    v = vector(f"{what}.v", q_goal.v, arm.n)
+    a = vector(f"{what}.a", q_goal.a, arm.n)
+    limits = arm.limits
+    beside = a * np.abs(a) / (2 * limits.j_max)
+    fastest = np.maximum(np.abs(v + beside), np.abs(v - beside))
+    for value, share, bound, unit in (
+        (v, fastest / limits.v_max, limits.v_max, "/s"),
+        (a, np.abs(a) / limits.a_max, limits.a_max, "/s^2"),
+    ):
+        i = int(share.argmax())
+        if share[i] > 1 + RATIO_TOLERANCE:
+            kind = "v" if value is v else "a"
+            raise LimitError(
+                f"{what}.{kind}: {arm.joint_names[i]} needs {100 * share[i]:.4g} % of its limit, {bound[i]:g} "
+                f"{arm.units[i]}{unit}; give a slower goal"
+            )
+    return Setpoint(q, v, a)
+
+
+def is_moving(state: Setpoint) -> bool:
+    """Whether a start or a goal is not at rest."""
+    return bool(np.any(state.v) or np.any(state.a))
 
 
 def limits_from(limits: Limits, start: Setpoint) -> Limits:

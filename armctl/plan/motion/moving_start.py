@@ -9,7 +9,7 @@ from armctl.core.errors import LimitError, PlanError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint
 from armctl.model.arm.arm import Arm
-from armctl.plan.motion.checks import limits_from, planning_arm, start_state
+from armctl.plan.motion.checks import is_moving, limits_from, planning_arm, start_state
 from armctl.plan.motion.timing.otg import JointState, ProfileSolver, at_rest, ending_at
 from armctl.plan.motion.torque_limits import check_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
@@ -32,9 +32,9 @@ def planned_from(
     return begun_moving(arm, stop, plan(arm.limits.clamp(stop(stop.duration).q)))
 
 
-def stop_from(arm: Arm, start: Setpoint) -> JointTrajectory | None:
-    """The fastest stop from a start; None if it is at rest."""
-    if not start.v.any() and not start.a.any():
+def stop_from(arm: Arm, start: Setpoint, what: str = "q_start") -> JointTrajectory | None:
+    """The fastest stop from a state that an argument, called `what`, gives; None if it is at rest."""
+    if not is_moving(start):
         return None
     state = JointState(start.q, start.v, start.a)
     profile = ProfileSolver.from_limits(arm.limits).stop(state)
@@ -43,7 +43,8 @@ def stop_from(arm: Arm, start: Setpoint) -> JointTrajectory | None:
     pieces = profile.pieces(state)
     pieces = ending_at(pieces, at_rest(sample(pieces, pieces.knots[-1:]).q[0])).corrected
     if not is_inside(pieces, limits_from(arm.limits, start)):
-        raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
+        slower = "from this start; start slower" if what == "q_start" else "after this goal; end slower"
+        raise LimitError(f"{what}: the arm cannot stop inside its position limits {slower}")
     return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
 
 

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import LimitError, PlanError
+from armctl.core.other_names import with_hints
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.model.arm.arm import Arm
-from armctl.plan.motion.checks import planning_arm, start_state
-from armctl.plan.motion.timing.otg import JointState, ProfileSolver
+from armctl.plan.motion.checks import goal_state, planning_arm, start_state
+from armctl.plan.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE
 from armctl.plan.motion.trajectory.path_stop import remaining
-from armctl.plan.motion.trajectory.piecewise import Pieces, standing
+from armctl.plan.motion.trajectory.piecewise import Pieces, joined, standing
 
 
 class OnlineMotion:
     """A jerk-limited motion that is planned while it runs, with a new goal at any tick.
 
     Each new goal is planned from the current position, velocity and acceleration; all joints arrive at the same time.
-    If a joint would then leave its position limits, each joint moves independently as fast as possible instead.
+    If a joint would then leave its position limits, each joint moves independently as fast as possible instead. A goal may
+    be in motion; after it the arm stops, unless another goal comes.
 
     ```python
     motion = OnlineMotion(arm, arm.home)
@@ -28,6 +32,17 @@ class OnlineMotion:
     setpoint = motion.step(0.001)
     ```
     """
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "target_position": "motion.go_to(q)",
+                "target_velocity": "motion.go_to(armctl.Setpoint(q, v, a))",
+                "target_acceleration": "motion.go_to(armctl.Setpoint(q, v, a))",
+                "current_position": "motion.setpoint.q",
+                "update": "motion.step(dt)",
+            }
+        )
 
     def __init__(self, arm: Arm, q_start: ArrayLike | Setpoint):
         """A motion that starts at the state of the arm; without a goal it decelerates to rest.
@@ -56,29 +71,52 @@ class OnlineMotion:
         if profile is None or not profile.stays_inside(self._q_min_loose, self._q_max_loose):
             raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
         self._profile = profile
+        self._afterwards: Profile | None = None  # the stop behind a goal in motion
 
     @property
     def goal(self) -> Array | None:
-        """(n,) rad, the goal; None while it only stops."""
+        """(n,) rad, the position of the goal; None while it only stops."""
         return self._goal
 
-    def go_to(self, q: ArrayLike) -> None:
-        """Sets a new goal, which is reached at rest.
+    def go_to(self, q: ArrayLike | Setpoint) -> None:
+        """Sets a new goal, which is reached at rest or, if it is a setpoint, with its velocity and acceleration.
+
+        A goal in motion is a state, not a function of time: the arm has it when it arrives, as soon as it can. From there it
+        stops, as soon as the limits allow, if no other goal has come.
 
         Args:
-            q: (n,) rad, inside the limits.
+            q: (n,) rad, inside the limits; or a setpoint inside the limits, from which the arm can stop inside them.
 
         Raises:
             InputError: A wrong length or a number that is not finite; the motion does not change.
-            LimitError: A position outside the limits; the motion does not change.
+            LimitError: A goal outside the limits, or so fast that no stop inside them is possible; the motion does not change.
             PlanError: No motion inside the limits leads to the goal from the current state; the motion stops instead.
         """
+        if isinstance(q, Setpoint):
+            self._go_to_moving(goal_state(self._arm, "q", q))
+            return
         goal = self._checked(q)
         start = self._state(self._t)
         profile = self._solver.to_rest(start, goal.tolist(), self._q_min_loose, self._q_max_loose)
         self._start = start
+        self._take(profile, goal, None)
+
+    def _go_to_moving(self, goal: Setpoint) -> None:
+        """Sets a goal in motion."""
+        wanted = JointState(goal.q.tolist(), goal.v.tolist(), goal.a.tolist())
+        stop = self._solver.stop(wanted)
+        if stop is None or not stop.stays_inside(self._q_min_loose, self._q_max_loose):
+            raise LimitError("q: the arm cannot stop inside its position limits after this goal; end slower")
+        start = self._state(self._t)
+        profile = self._solver.to_moving(start, wanted, self._q_min_loose, self._q_max_loose)
+        self._start = start
+        self._take(profile, goal.q, stop)
+
+    def _take(self, profile: Profile | None, goal: Array, afterwards: Profile | None) -> None:
+        """Replaces the profile by one from `_start` to a goal, and what follows; without one it stops, and raises PlanError."""
         if profile is not None:
             self._profile = profile
+            self._afterwards = afterwards
             self._t = 0.0
             self._goal = goal
             return
@@ -110,7 +148,13 @@ class OnlineMotion:
     @property
     def time_left(self) -> float:
         """The time until it is at rest, s, if nothing changes."""
-        return max(0.0, self._profile.duration - self._t)
+        stopping = 0.0 if self._afterwards is None else self._afterwards.duration
+        return max(0.0, self._profile.duration + stopping - self._t)
+
+    @property
+    def time_to_goal(self) -> float:
+        """The time until it is at the goal, s; 0 after it, and without one."""
+        return 0.0 if self._goal is None else max(0.0, self._profile.duration - self._t)
 
     @property
     def pieces(self) -> Pieces:
@@ -118,6 +162,8 @@ class OnlineMotion:
         if self.time_left == 0.0:
             return standing(self.setpoint.q)
         whole = self._profile.pieces(self._start)
+        if self._afterwards is not None:
+            whole = joined([whole, self._afterwards.pieces(JointState(*self._profile.at(self._profile.duration)))])
         return whole if self._t == 0.0 else remaining(whole, self._t)
 
     def _checked(self, q: ArrayLike) -> Array:
@@ -134,7 +180,10 @@ class OnlineMotion:
         if profile is None:
             raise PlanError("no stop inside the limits was found from the present state")
         self._profile = profile
+        self._afterwards = None
         self._t = 0.0
 
     def _state(self, t: float) -> JointState:
+        if self._afterwards is not None and t > self._profile.duration:
+            return JointState(*self._afterwards.at(min(t - self._profile.duration, self._afterwards.duration)))
         return JointState(*self._profile.at(min(t, self._profile.duration)))

@@ -24,6 +24,7 @@ from armctl.model.arm.passive_forces import DryFriction, PassiveForces
 from armctl.plan.motion.timing.path_timing import slowed_down
 from armctl.plan.motion.timing.speed_bounds import TorqueRows
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
+from armctl.plan.motion.trajectory.limit_check import REST_SPEED
 from armctl.plan.motion.trajectory.piecewise import Pieces, joints_of
 
 _SAMPLE_INTERVAL_S = 0.004
@@ -128,6 +129,8 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
         raise PlanError(
             f"{needed}, and a motion that starts moving cannot be slowed down at its start; stop first, or choose a nearer goal"
         )
+    if np.abs(trajectory(trajectory.duration).v).max() > REST_SPEED:
+        raise PlanError(f"{needed}, and a motion that ends moving cannot be slowed down at its end; end slower")
     torques = TorqueBounds(arm)
     pieces = slowed_down(MotionPath(trajectory), trajectory.limits, trajectory.knots, torques)
     feasible = JointTrajectory(*joints_of(pieces), trajectory.joint_names, trajectory.limits, units=trajectory.units)

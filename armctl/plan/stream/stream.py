@@ -28,7 +28,7 @@ from armctl.plan.motion.timing.otg import JointState
 from armctl.plan.motion.trajectory.path_stop import remaining
 from armctl.plan.motion.trajectory.piecewise import Pieces, basis, standing
 from armctl.plan.stream.committed_motion import CommittedMotion, end_state
-from armctl.plan.stream.timed_targets import TimedTargets
+from armctl.plan.stream.timed_targets import Rates, TimedTargets
 
 MAX_TARGETS = 1000  # of a chunk
 _MAX_AHEAD_S = 60.0  # of a target: a later one has a wrong clock
@@ -194,8 +194,11 @@ class Stream:
             obstacle=self._obstacle,
         )
 
-    def push(self, t: float, q: ArrayLike) -> None:
+    def push(self, t: float, q: ArrayLike, v: ArrayLike | None = None, a: ArrayLike | None = None) -> None:
         """Takes a target, predicts how the targets go on, and follows them; if none follows, the arm rests at this one.
+
+        A velocity, as of a conveyor that is measured, replaces the prediction from earlier targets: the arm then follows from
+        the first target on.
 
         A target that is not newer than the last one changes nothing. One outside the position limits is moved inside; one that
         is half a turn (1 m) outside, as degrees are, is refused.
@@ -203,26 +206,30 @@ class Stream:
         Args:
             t: s, in the stream's time, when the arm should be there. Usually it has passed: the time of a measurement.
             q: (n,) rad.
+            v: (n,) rad/s, how fast the target moves then; None if that is not known.
+            a: (n,) rad/s^2, its acceleration; needs v.
 
         Raises:
             InputError: A wrong length, a number that is not finite, or a time more than a minute ahead; nothing changes.
             LimitError: A position far outside the limits; nothing changes.
         """
         time = self._time("t", t)
-        target = self._clamped(vector("q", q, self._arm.n)[None])[0]
+        target = vector("q", q, self._arm.n)
+        rates = _rates(v, a, target.shape)
+        target = self._clamped(target[None])[0]
         if time <= self._targets.newest:
             self._counts["dropped"] += 1
             return
         if time > self._t + self._targets.interval:
-            self.push_chunk([time], [target])
+            self.push_chunk([time], [target], *(None if x is None else x[None] for x in rates or (None, None)))
             return
         self._counts["targets"] += 1
         self._counts["late"] += time < self._t
         self._compare(time, target)
-        self._targets.push(time, target, self._t)
+        self._targets.push(time, target, self._t, rates)
         self._plan()
 
-    def push_chunk(self, times: ArrayLike, q: ArrayLike) -> None:
+    def push_chunk(self, times: ArrayLike, q: ArrayLike, v: ArrayLike | None = None, a: ArrayLike | None = None) -> None:
         """Takes a list of targets, as policies emit them. It replaces the earlier ones from its first time on.
 
         The arm passes each target at its time if the limits allow, and rests at the last one. Those that are past already are
@@ -231,6 +238,9 @@ class Stream:
         Args:
             times: (K,) s, increasing, in the stream's time.
             q: (K, n) rad, the targets.
+            v: (K, n) rad/s, how fast the arm passes them; None for the parabolas through neighbors, and rest at the last one.
+                An arm that passes the last one in motion turns back to it, if no other chunk comes.
+            a: (K, n) rad/s^2, its accelerations there; needs v.
 
         Raises:
             InputError: Wrong shapes, more than 1000 targets, numbers that are not finite, times that do not increase or are
@@ -245,6 +255,7 @@ class Stream:
             raise InputError(f"times: a chunk has 1 to {MAX_TARGETS} targets, got {len(t)}")
         if (np.diff(t) <= 0).any():
             raise InputError("times: they must increase from target to target")
+        rates = _rates(v, a, targets.shape)
         self._time("times", float(t[-1]))
         clamped = self._clamped(targets)
         ahead = t > self._t
@@ -252,7 +263,7 @@ class Stream:
         self._counts["targets"] += int(ahead.sum())
         if not ahead.any():
             return
-        self._targets.push_chunk(t, clamped)
+        self._targets.push_chunk(t, clamped, rates)
         self._plan()
 
     def push_pose(self, t: float, target: TargetLike | TipTargets) -> None:
@@ -461,3 +472,19 @@ class Stream:
     def _state(self) -> JointState:
         point = self.setpoint
         return JointState(point.q, point.v, point.a)
+
+
+def _rates(v: ArrayLike | None, a: ArrayLike | None, shape: tuple[int, ...]) -> Rates | None:
+    """A caller's velocities and accelerations of targets of a shape (n,) or (K, n); None if they are not given."""
+    if v is None:
+        if a is not None:
+            raise InputError("a: accelerations need the velocities, too; give v")
+        return None
+    return Rates(_rate("v", v, shape), None if a is None else _rate("a", a, shape))
+
+
+def _rate(what: str, given: ArrayLike, shape: tuple[int, ...]) -> Array:
+    values = vector(what, given, shape[0]) if len(shape) == 1 else matrix(what, given, shape[1])
+    if values.shape != shape:
+        raise InputError(f"{what}: {len(values)} rows for {shape[0]} targets; each target needs one")
+    return values

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl._core import solve_program
-from armctl.core.validation import Array
+from armctl.core.validation import Array, BoolArray
 
 _HISTORY_S = 0.8  # older targets say nothing about the next one
 # Numbers of targets in a fit, and the degree of its polynomial. Few follow fast motions, many average noise; the lower the
@@ -57,6 +57,36 @@ class Knots(NamedTuple):
         return cls(np.empty(0), none, none, none, q, ())
 
 
+class Rates(NamedTuple):
+    """What a source says about the motion of its targets."""
+
+    v: Array  # (n,) rad/s, or of a chunk (K, n)
+    a: Array | None  # rad/s^2, of the same shape
+
+
+class _Chunk(NamedTuple):
+    """Targets for some times; NaN stands for rates that the source did not give."""
+
+    t: Array  # (K,) s, increasing
+    q: Array  # (K, n) rad
+    v: Array  # (K, n) rad/s
+    a: Array  # (K, n) rad/s^2
+
+    @classmethod
+    def from_rates(cls, t: Array, q: Array, rates: Rates | None) -> _Chunk:
+        """Without accelerations, those of the velocities' own parabolas."""
+        unknown = np.full_like(q, np.nan)
+        if rates is None:
+            return cls(t, q, unknown, unknown)
+        return cls(t, q, rates.v, _parabolas(t, rates.v)[0] if rates.a is None else rates.a)
+
+    def rows(self, which: slice | BoolArray) -> _Chunk:
+        return _Chunk(self.t[which], self.q[which], self.v[which], self.a[which])
+
+    def then(self, other: _Chunk) -> _Chunk:
+        return _Chunk(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
 class TimedTargets:
     """The history of single targets, which is extrapolated, or the targets of a chunk, which are interpolated."""
 
@@ -71,15 +101,19 @@ class TimedTargets:
         self._errors = np.zeros((len(_FITS), len(_FITS)))  # products of the errors of each two fits
         self._weights = np.eye(len(_FITS))[0]
         self._scatter = np.zeros(len(q))  # of the targets about the prediction
-        self._chunk: tuple[Array, Array] | None = None
+        self._chunk: _Chunk | None = None
+        self._moving: tuple[float, Array, Array, Array] | None = None  # the newest target, if its source gave its rates
 
     @property
     def newest(self) -> float:
         """The time of the newest single target, s."""
         return self._history[-1][0] if self._history else -np.inf
 
-    def push(self, t: float, q: Array, now: float) -> None:
-        """Adds a target (n,) for a time that is later than `newest`, as it arrives at the time `now`. It ends a chunk."""
+    def push(self, t: float, q: Array, now: float, rates: Rates | None = None) -> None:
+        """Adds a target (n,) for a time that is later than `newest`, as it arrives at the time `now`. It ends a chunk.
+
+        Rates that the source gives are its prediction.
+        """
         self._chunk = None
         history = self._history
         while history and t - history[0][0] > _HISTORY_S:
@@ -93,15 +127,16 @@ class TimedTargets:
             ahead = max(now, t) + (_JUDGED_AHEAD - 0.5) * self.interval
             self._predictions.append((ahead, t, _fits(*self._last())))
             self._weights = _weights(self._errors)
+        self._moving = None if rates is None else (t, q, rates.v, np.zeros_like(q) if rates.a is None else rates.a)
         self.rest = q
 
-    def push_chunk(self, t: Array, q: Array) -> None:
+    def push_chunk(self, t: Array, q: Array, rates: Rates | None = None) -> None:
         """Replaces all targets from t[0] on by those of q (K, n) at the times t (K,)."""
+        chunk = _Chunk.from_rates(t, q, rates)
         if self._chunk is not None:
-            earlier = self._chunk[0] < t[0] - 0.5 * _step(t)  # a target just before the first one would make noise a velocity
-            t = np.concatenate([self._chunk[0][earlier], t])
-            q = np.concatenate([self._chunk[1][earlier], q])
-        self._chunk = (t, q)
+            earlier = self._chunk.t < t[0] - 0.5 * _step(t)  # a target just before the first one would make noise a velocity
+            chunk = self._chunk.rows(earlier).then(chunk)
+        self._chunk = chunk
         self._forget()
         self.rest = q[-1]
 
@@ -131,6 +166,10 @@ class TimedTargets:
 
     def _predicted(self, times: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration at times (K,), by a polynomial of least squares through the history."""
+        if self._moving is not None:
+            t, q, v, a = self._moving
+            u = (times - t)[:, None]
+            return q + u * (v + 0.5 * u * a), v + u * a, np.broadcast_to(a, (len(times), len(a)))
         if len(self._history) < _MIN_FOR_SLOPE:
             at_rest = np.zeros((len(times), len(self.rest)))
             return self.rest + at_rest, at_rest, at_rest
@@ -155,6 +194,7 @@ class TimedTargets:
         """Begins a new history. What was learned about the fits is learned anew."""
         self._history.clear()
         self._predictions.clear()
+        self._moving = None
         self._errors[:] = 0.0
         self._scatter[:] = 0.0
 
@@ -177,15 +217,17 @@ class TimedTargets:
         return bool((np.abs(q - fitted[-1]) > np.maximum(_JUMP_FACTOR * self._scatter, _MIN_JUMP) + possible).any())
 
     def _interpolated(self, now: float) -> Knots:
-        """The targets of the chunk still to come, with the derivatives of the parabola through each and its neighbors."""
+        """The targets of the chunk still to come, with given rates, or those of the parabola through each and its neighbors."""
         assert self._chunk is not None
-        t, q = self._chunk
+        t, q, given_v, given_a = self._chunk
         v, a = _parabolas(t, q)
         v[-1] = 0.0  # the source may send nothing more
         a[-1] = 0.0
+        v = np.where(np.isnan(given_v), v, given_v)
+        a = np.where(np.isnan(given_a), a, given_a)
         ahead = t > now + 0.5 * _step(t)  # a target that is nearer could only be met by a jerk
         first = max(int(ahead.argmax()) - 1, 0) if ahead.any() else len(t)
-        self._chunk = (t[first:], q[first:])
+        self._chunk = self._chunk.rows(slice(first, None))
         count = int(ahead.sum())
         joins = tuple(slice(k, None) for k in (0, 1, 2, 4, 8) if k < count)
         return Knots(t[ahead], q[ahead], v[ahead], a[ahead], self.rest, joins)

@@ -30,6 +30,7 @@ _MAX_DETOUR = 5e-10  # rad (m), of a correction of velocity and acceleration
 _DETOUR_FACTORS = (0.2, 0.0173)  # of a quintic that changes nothing but the velocity, or the acceleration, at x = 1
 MAX_EXCESS = 3e-7  # of the duration that velocity, acceleration and jerk limits would need more; of jerk it is three times that
 _MAX_SLOWDOWNS = 4
+LONGER = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)  # times the shortest duration: tried for goals that move, near position limits
 _MAX_STRETCH = 1.2  # of a move from rest to rest; a straight line in closed form replaces one that needs more
 
 
@@ -170,6 +171,20 @@ class ProfileSolver:
                 return profile
         return None
 
+    def to_moving(self, start: JointState, goal: JointState, q_min: list[float], q_max: list[float]) -> Profile | None:
+        """The fastest profile to a state in motion, or a longer one, that stays inside position limits; None if there is none.
+
+        All joints arrive at the same time: one that came sooner would have left the goal again.
+        """
+        fastest = self.solve(start, goal)
+        if fastest is None or fastest.stays_inside(q_min, q_max):
+            return fastest
+        for factor in LONGER[1:]:
+            profile = self.solve(start, goal, shortest=factor * fastest.duration)
+            if profile is not None and profile.stays_inside(q_min, q_max):
+                return profile
+        return None
+
     def stop(self, start: JointState) -> Profile | None:
         """The fastest stop of each joint by itself, or None if ruckig finds none."""
         inp = self._input
@@ -206,14 +221,16 @@ class ProfileSolver:
         self._input.max_jerk = (share * j_max).tolist()
 
 
-def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState, max_excess: float = MAX_EXCESS) -> Pieces:
-    """The fastest move between two states as polynomials that end exactly at the goal.
+def solve_pieces(
+    solver: ProfileSolver, start: JointState, goal: JointState, max_excess: float = MAX_EXCESS, shortest: float = 0.0
+) -> Pieces:
+    """The fastest move between two states that lasts at least `shortest` s, as polynomials that end exactly at the goal.
 
     From rest to rest there always is one, inside the limits. Otherwise it may exceed velocity, acceleration and jerk limits by
     rounding, at most by the factor 1 + max_excess, and by what the start makes unavoidable; PlanError if there is none.
     """
     rests = not any(np.any(x) for x in (start.v, start.a, goal.v, goal.a))
-    profile = solver.solve(start, goal)
+    profile = solver.solve(start, goal, shortest=shortest)
     if profile is not None:
         pieces = ending_at(profile.pieces(start), goal)
         bounds = solver.bounds if rests else unavoidable_bounds(solver.bounds, start)
@@ -228,7 +245,7 @@ def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState, max
             return slowed_to_bounds(pieces.corrected, solver.bounds)
     if rests:
         return straight_rest_to_rest(np.asarray(start.q), np.asarray(goal.q), solver.bounds)
-    pieces = _solved_in_own_units(solver.bounds, start, goal)
+    pieces = _solved_in_own_units(solver.bounds, start, goal, shortest)
     if pieces is None:
         raise PlanError("no jerk-limited move joins the two states; start and end slower")
     if stretch_needed(pieces, unavoidable_bounds(solver.bounds, start)) > 1 + max_excess:
@@ -248,7 +265,7 @@ def unavoidable_bounds(bounds: Bounds, start: JointState) -> Bounds:
     return np.maximum(v_max, np.maximum(np.abs(v), coasting)), np.maximum(a_max, np.abs(a)), j_max
 
 
-def _solved_in_own_units(bounds: Bounds, start: JointState, goal: JointState) -> Pieces | None:
+def _solved_in_own_units(bounds: Bounds, start: JointState, goal: JointState, shortest: float) -> Pieces | None:
     """The fastest move between two states in its own units of time and position; None if ruckig finds none.
 
     Ruckig's tolerances are absolute. With the unit of time that the states need at full jerk, and for each joint the unit of
@@ -269,7 +286,7 @@ def _solved_in_own_units(bounds: Bounds, start: JointState, goal: JointState) ->
     solver = ProfileSolver(v_max * to_velocity, a_max * to_acceleration, np.ones_like(j_max))
     first = JointState(np.zeros_like(q), start.v * to_velocity, start.a * to_acceleration)
     last = JointState(way / length, goal.v * to_velocity, goal.a * to_acceleration)
-    profile = solver.solve(first, last)
+    profile = solver.solve(first, last, shortest=shortest / time)
     if profile is None:
         return None
     knots, coefficients = ending_at(profile.pieces(first), last).corrected
