@@ -12,9 +12,9 @@ spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.6,
 for side, y in (("left", 0.3), ("right", -0.3)):
     panda = mujoco_menagerie.get("franka_emika_panda").spec()
     spec.attach(panda, prefix=f"{side}_", frame=spec.worldbody.add_frame(pos=[0, y, 0]))
-arms = armctl.load_arms(spec, ["left_hand", "right_hand"])
-left, right = (arm.tip for arm in arms)
-team = armctl.Team(arms)
+arm = armctl.load(spec)
+left, right = arm.tips
+sim = armctl.Simulation(arm)
 
 
 def down(x: float, y: float) -> armctl.Pose:
@@ -23,6 +23,7 @@ def down(x: float, y: float) -> armctl.Pose:
 
 
 for places in ({left: down(0.5, 0.15), right: down(0.5, -0.15)}, {left: down(0.5, -0.15), right: down(0.5, 0.15)}):
-    for tip, result in team.move_to(places).items():
-        touched = [str(contact) for contact in team.logs[tip].contacts]
-        print(f"{tip} at y = {places[tip].position[1]:+.2f} m: {result}; touched {touched or 'nothing'}")
+    result = sim.move_to(places)
+    for tip, pose in sim.tips.items():
+        print(f"{tip} at y = {pose.position[1]:+.2f} m")
+    print(f"{result}; touched {[*map(str, result.contacts)] or 'nothing'}")

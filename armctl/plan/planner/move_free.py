@@ -33,6 +33,7 @@ from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, 
 from armctl.model.collision.clearance import PiecewiseTrajectory, clearance_of
 from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
 from armctl.model.mjmodel.queries import object_id
+from armctl.plan.ik.resting_joints import Mask, RestingJoints, resting_joints
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
 from armctl.plan.motion.move_j import move_j
@@ -64,6 +65,7 @@ class FreeSpace(NamedTuple):
     checker: CollisionChecker  # what may not be touched
     clearance: float = CLEARANCE_M  # m, from everything
     keep: KeptAxis | None = None  # an axis of the tip that keeps its direction
+    held: Mask | None = None  # (n,) joints that keep their positions; None for none
 
     def line_is_free(self, start: Array, end: Array) -> bool:
         """Whether a straight line between two configurations is proved."""
@@ -120,6 +122,9 @@ def find_path(space: FreeSpace, start: Array, goals: Array, limits: Limits, rng:
     ends = np.vstack([start, goals])
     low = np.maximum(limits.q_min, ends.min(axis=0) - np.pi)
     high = np.minimum(limits.q_max, ends.max(axis=0) + np.pi)
+    if space.held is not None:
+        low = np.where(space.held, start, low)
+        high = np.where(space.held, start, high)
     capacity = len(goals) + 2 * MAX_SAMPLES + 2
     trees = RrtConnect(space.checker.proof(space.keep), space.clearance, start, goals, low, high, capacity)
     taken = 0
@@ -257,6 +262,9 @@ def move_free_with(
     checker.require_provable()
     rng = np.random.default_rng(integer("seed", seed, 0))
     require_free_start(checker, start)
+    if isinstance(goal, Mapping):
+        held = resting_joints(arm, goal).held
+        space = space._replace(held=held if held.any() else None)
     goals, freest = _goals(space, arm, start, goal, rng)
     refusal = ""
     for path_space, motion_space in spaces_between(space, [start, freest]):
@@ -379,7 +387,9 @@ def configurations_for(
     """Configurations for one goal, and why there is none. More are looked for as long as none of them is free."""
     if isinstance(goal, np.ndarray):
         return [goal], ""
+    resting: RestingJoints | None = None
     if isinstance(goal, Mapping):
+        resting = resting_joints(arm, goal)
         goal = targets_by_tip(goal, {tip: arm.fk(start, tip) for tip in arm.tips})
     free_axis = None
     if keep is not None and isinstance(goal, Target) and goal.pose is None:
@@ -394,13 +404,23 @@ def configurations_for(
         result = solve_ik(arm, goal, q0, free_axis=free_axis)
         if not result.ok and not found:
             return [], result.reason  # the solver has tried all its starts
-        if not result.ok or any(np.abs(result.q - q).max() <= _SAME_CONFIGURATION for q in found):
+        if not result.ok:
             continue
-        found.append(result.q)
-        free += is_free(result.q)
+        solution = result.q if resting is None else _with_resting(result.q, start, resting, is_free)
+        if any(np.abs(solution - q).max() <= _SAME_CONFIGURATION for q in found):
+            continue
+        found.append(solution)
+        free += is_free(solution)
         if free == MAX_ROOTS:
             break
     return found, ""
+
+
+def _with_resting(q: Array, start: Array, resting: RestingJoints, is_free: Callable[[Array], bool]) -> Array:
+    """A configuration with joints that rest where they start; idle ones only if it is free with them."""
+    held = np.where(resting.held, start, q)
+    idle = np.where(resting.idle, start, held)
+    return idle if is_free(idle) else held
 
 
 def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:

@@ -91,8 +91,13 @@ class Commands:
 
     @property
     def tip(self) -> Pose:
-        """The pose of the tip now, T_world_tip."""
+        """The pose of the tip now, T_world_tip; of several tips that of the first one."""
         return self._arms.tip_pose(self.arm.tip)
+
+    @property
+    def tips(self) -> dict[str, Pose]:
+        """The poses of all tips now, T_world_tip, by name."""
+        return {tip: self._arms.drive.tip_pose(self.arm, tip) for tip in self.arm.tips}
 
     @property
     def target(self) -> Array:
@@ -361,6 +366,6 @@ class Commands:
         return self._obstacles.checker(allow, self._held)
 
     @property
-    def _held(self) -> str:
-        """The body that moves with the tip; empty if there is none."""
-        return ""
+    def _held(self) -> dict[str, int]:
+        """The bodies that move with a tip, and the number of the body of that tip."""
+        return {}

@@ -26,6 +26,7 @@ from armctl.core.validation import Array, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.clearance import clearance_of
+from armctl.plan.ik.resting_joints import resting_joints
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
@@ -102,7 +103,7 @@ def plan_by_tip(arm: Arm, targets: TipTargets, q_start: Array, speed: float, spa
     clearance = math.nan
     try:
         if space is not None:
-            motion = move_free_with(space, arm, q_start, goals, speed=speed)
+            motion = move_free_with(space, arm, q_start, targets, speed=speed)
             clearance = space.least_distance(motion)
         else:
             solution = solve_ik(arm, goals, q_start, avoid=not arm.unchecked_links)
@@ -110,7 +111,8 @@ def plan_by_tip(arm: Arm, targets: TipTargets, q_start: Array, speed: float, spa
                 solution = solve_ik(arm, goals, q_start)
             if not solution.ok:
                 return replace(move, refusal=solution.reason)
-            motion = move_j(arm, q_start, solution.q, speed=speed)
+            rests = np.logical_or(*resting_joints(arm, targets))
+            motion = move_j(arm, q_start, np.where(rests, q_start, solution.q), speed=speed)
     except (PlanError, ModelError) as error:
         return replace(move, refusal=str(error))
     end = motion(motion.duration).q

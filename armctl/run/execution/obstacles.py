@@ -1,7 +1,8 @@
 """What an arm could touch in a simulation, where everything is at this moment."""
 
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import mujoco
@@ -16,6 +17,7 @@ from armctl.model.mjmodel.queries import acts, body_name
 _KEPT_CHECKERS = 4  # of the last scenes: building one takes longer than planning in it
 _SAME_M = 1e-6  # rad, m: a smaller displacement is no new scene
 _NOTICED_M = 5e-4  # rad, m: a larger displacement is a new scene for `recent_checker`
+_NOTHING: Mapping[str, int] = MappingProxyType({})
 
 
 class Obstacles:
@@ -29,29 +31,31 @@ class Obstacles:
         self._checkers: OrderedDict[tuple[object, ...], CollisionChecker] = OrderedDict()
         self._recent: _Recent | None = None
 
-    def recent_checker(self, held: str = "") -> CollisionChecker:
+    def recent_checker(self, held: Mapping[str, int] = _NOTHING) -> CollisionChecker:
         """A checker of the scene up to displacements of half a millimeter. Building a new one takes tens of milliseconds."""
         outside = self._data.qpos[~self._is_own]
         recent = self._recent
-        if recent is None or recent.held != held or np.abs(outside - recent.outside).max(initial=0.0) > _NOTICED_M:
-            recent = _Recent(self.checker(held=held), outside, held)
+        if recent is None or recent.held != dict(held) or np.abs(outside - recent.outside).max(initial=0.0) > _NOTICED_M:
+            recent = _Recent(self.checker(held=held), outside, dict(held))
             self._recent = recent
         return recent.checker
 
-    def checker(self, allow: Iterable[tuple[str, str]] = (), held: str = "") -> CollisionChecker:
+    def checker(self, allow: Iterable[tuple[str, str]] = (), held: Mapping[str, int] = _NOTHING) -> CollisionChecker:
         """A checker of the scene as it is, in which pairs of names of bodies or geoms may touch.
 
-        A held body moves with the tip, and may keep the contacts it has now, such as with the table it was picked from.
+        A held body moves with a tip's body, whose number is its value in `held`, and may keep the contacts it has now, such as
+        with the table it was picked from.
         """
-        allowed = [*read_pairs(allow), *(touched_by(self._arm.model, self._data, held) if held else ())]
+        kept = [pair for body in held for pair in touched_by(self._arm.model, self._data, body)]
+        allowed = [*read_pairs(allow), *kept]
         qpos = np.array(self._data.qpos)
         outside = qpos[~self._is_own]
         is_home = not held and np.abs(outside - self._arm.home_qpos[~self._is_own]).max(initial=0.0) < _SAME_M
         if is_home and not allowed:
             return collision_checker(self._arm)
-        key = (repr(allowed), held, np.round(outside / _SAME_M).tobytes(), qpos.tobytes() if held else b"")
+        key = (repr(allowed), tuple(held.items()), np.round(outside / _SAME_M).tobytes(), qpos.tobytes() if held else b"")
         if key not in self._checkers:
-            carried = {self._arm.model.body(held).id: self._arm.tip_body} if held else {}
+            carried = {self._arm.model.body(body).id: tip_body for body, tip_body in held.items()}
             self._checkers[key] = collision_checker(self._arm, self._at(qpos), allowed, carried)
             while len(self._checkers) > _KEPT_CHECKERS:
                 self._checkers.popitem(last=False)
@@ -68,7 +72,7 @@ class Obstacles:
 class _Recent(NamedTuple):
     checker: CollisionChecker
     outside: Array
-    held: str
+    held: dict[str, int]
 
 
 def touched_by(model: mujoco.MjModel, data: mujoco.MjData, held: str) -> list[tuple[str, str]]:

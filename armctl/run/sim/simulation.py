@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.interface import Controller, State, traits
 from armctl.core import hooks
-from armctl.core.errors import LimitError
+from armctl.core.errors import LimitError, UnknownNameError
 from armctl.core.faces import named_after_itself
 from armctl.core.log import Log
 from armctl.core.other_names import with_hints
@@ -87,7 +87,7 @@ class Simulation(Commands):
         self._stepper = Stepper([arm], self.plant, self.viewer)
         self._arms: SimulatedArms = SimulatedArms([arm], {arm.tip: law}, self._stepper)
         super().__init__(self._arms)
-        self._gripper: Gripper | None = None
+        self._grippers: dict[str, Gripper] = {}
 
     def __repr__(self) -> str:
         law = traits(self.controller).name
@@ -120,16 +120,30 @@ class Simulation(Commands):
 
     @property
     def gripper(self) -> Gripper:
-        """The gripper behind the arm's tip.
+        """The gripper behind the arm's tip, of several the first one.
 
         Raises:
             ModelError: There is none, or it is a hand of many actuators.
         """
-        if self._gripper is None:
+        return self.gripper_at(self.arm.tip)
+
+    def gripper_at(self, tip: str) -> Gripper:
+        """The gripper behind one of several tips.
+
+        Args:
+            tip: Its name.
+
+        Raises:
+            UnknownNameError: The arm has no such tip.
+            ModelError: There is no gripper behind it, or it is a hand of many actuators.
+        """
+        if not isinstance(tip, str) or tip not in self.arm.tips:
+            raise UnknownNameError.from_known(f"tip of {self.arm.name:.60}", tip, self.arm.tips)
+        if tip not in self._grippers:
             from armctl.run.sim.gripper.gripper import Gripper
 
-            self._gripper = Gripper(self.arm, self._stepper, self._arms.hold)
-        return self._gripper
+            self._grippers[tip] = Gripper(self.arm, self._stepper, self._arms.hold, tip)
+        return self._grippers[tip]
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Sets time to 0, and everything to its initial state.
@@ -141,8 +155,8 @@ class Simulation(Commands):
         Raises:
             LimitError: A position is half a turn (1 m) or more outside its limits, as degrees are.
         """
-        if self._gripper is not None:
-            self._gripper.reset()
+        for gripper in self._grippers.values():
+            gripper.reset()
         self._arms.reset(q, v)
 
     def step(self, torque: ArrayLike | None = None) -> State:
@@ -194,5 +208,7 @@ class Simulation(Commands):
         return super()._checker(flag("avoid", avoid) and not is_alone, allow)
 
     @property
-    def _held(self) -> str:
-        return self._gripper.held if self._gripper is not None else ""
+    def _held(self) -> dict[str, int]:
+        bodies = {frame.name: frame.body for frame in self.arm.tip_frames}
+        held = {tip: gripper.held for tip, gripper in self._grippers.items()}
+        return {body: bodies[tip] for tip, body in held.items() if body}

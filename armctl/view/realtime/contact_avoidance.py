@@ -1,5 +1,7 @@
 """ContactAvoidance: whether the motions of an arm that follows live are free of contact."""
 
+from collections.abc import Mapping
+
 from armctl.core.validation import Array
 from armctl.model.collision.checker import CollisionChecker
 from armctl.plan.motion.trajectory.piecewise import Pieces
@@ -19,9 +21,9 @@ class ContactAvoidance:
         self.checker: CollisionChecker | None = None
         self._clearance = LIVE_CLEARANCE_M
 
-    def look(self, held_body: str) -> None:
-        """Looks where everything is now, with a body that the gripper holds; empty for none."""
-        self.checker = self.obstacles.recent_checker(held_body) if self.is_on else None
+    def look(self, held: Mapping[str, int]) -> None:
+        """Looks where everything is now, with the bodies that a gripper holds, as for `Obstacles.checker`."""
+        self.checker = self.obstacles.recent_checker(held) if self.is_on else None
 
     def set_clearance(self, q: Array) -> None:
         """Chooses the clearance of motions that begin at q, (n,) rad: half the distance there, if that is small."""

@@ -241,7 +241,8 @@ class RealTimeSession:
         if self._paused or self.is_standing_by or self._failure or self._stepper.failure:
             return False
         self._follower.jog(self.hand(), self._interval * self._speed_override)
-        reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)
+        held = "" if self._gripper is None else self._gripper.held
+        reference = self._follower.advance(self._ticks, {held: self.arm.tip_body} if held else {})
         self._stepper.run(self._controller, reference, self._stepper.recorder())  # each record is thrown away
         self._elapsed += self._interval
         self._status = self._observed(self._follower.reference.q)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 
@@ -103,7 +104,7 @@ class TargetFollower:
     def prepare(self) -> None:
         """Loads what the first update needs."""
         self._velocity(Target.read(self.target), self._dt)
-        self.avoidance.obstacles.recent_checker("")
+        self.avoidance.obstacles.recent_checker()
 
     def stand(self, q: Array, goal: Array) -> None:
         """Rests at q, (n,) rad, and then moves the joints to a goal, (n,) rad, with the target where the tip then is."""
@@ -153,8 +154,8 @@ class TargetFollower:
         self.avoidance.is_on = avoiding
         self._begin(self.task.q, self.task.held)
 
-    def advance(self, ticks: int, held_body: str = "") -> TickReference:
-        """The next ticks of the reference, with a body that the gripper holds; empty for none."""
+    def advance(self, ticks: int, held: Mapping[str, int]) -> TickReference:
+        """The next ticks of the reference, with the bodies that a gripper holds, as for `Obstacles.checker`."""
         if self.reference.is_on_planned_path:
             rows = self.reference.next(ticks)
             self.joint_goal = self.arm.limits.clamp(self.reference.q)
@@ -163,7 +164,7 @@ class TargetFollower:
         if self.task.phase is Phase.PLANNING:
             self._take_plan()
         if self.task.phase in (Phase.BEGUN, Phase.FOLLOWING):
-            self.avoidance.look(held_body)
+            self.avoidance.look(held)
             self._update_joint_goal(ticks * self._dt)
         return self.reference.next(ticks)
 

@@ -58,6 +58,67 @@ def test_a_tip_that_stays_is_where_it_was_at_the_end(simulation):
     assert np.linalg.norm(site(simulation, "r") - right) < 1e-3
 
 
+def test_an_arm_whose_tip_stays_rests_while_the_other_one_goes_around(simulation):
+    simulation.move_j([0.3, 0.5, 0.6, 0.1, -0.3, 0.5, 0.6, -0.1])
+    right = simulation.state.q[4:]
+    for target in ([0.3, -0.1, 0.7], [-0.2, 0.5, 0.5]):
+        for avoid in (True, False):
+            result = simulation.move_to({"l": target, "r": STAY}, avoid=avoid)
+            assert result, result.reason
+            assert np.ptp(result.log.q_ref[:, 4:], axis=0).max() < 1e-9
+    assert np.abs(simulation.state.q[4:] - right).max() < 1e-6
+
+
+def test_an_arm_without_a_target_rests_unless_it_is_in_the_way(simulation):
+    simulation.move_j([0.6, 0.5, 0.6, 0.1, 0.4, 0.5, 0.6, 0.1])
+    right = site(simulation, "r")
+    away = simulation.move_to({"l": [0.2, 0.6, 0.6]})
+    assert away, away.reason
+    assert np.ptp(away.log.q_ref[:, 4:], axis=0).max() < 1e-9
+    there = simulation.move_to({"l": right})
+    assert there, there.reason
+    assert np.ptp(there.log.q_ref[:, 4:], axis=0).max() > 0.1
+    assert not there.log.contacts
+
+
+def test_a_hand_on_a_joint_that_has_to_move_stays_at_the_end():
+    trunk = limb("t", limb("a b c") + limb("d e f"))
+    simulation = armctl.Simulation(armctl.load(mujoco.MjSpec.from_string(mjcf(trunk, motors("t a b c d e f")))))
+    left, right = simulation.arm.tips
+    before = simulation.tips
+    result = simulation.move_to({left: before[left].position + np.array([0.0, 0.05, -0.02]), right: STAY})
+    after = simulation.tips[right]
+    assert np.linalg.norm(after.position - before[right].position) < (1e-3 if result else 1e-12)
+    assert simulation.tip.position == pytest.approx(simulation.tips[left].position)
+
+
+JAWS = (
+    '<body name="{0}1" pos="0.05 0.02 0.1"><joint name="{0}1" type="slide" axis="0 1 0" range="0 0.04"/>'
+    '<geom name="{0}1" type="box" size="0.01 0.005 0.03" mass="0.05"/></body>'
+    '<body name="{0}2" pos="0.05 -0.02 0.1"><joint name="{0}2" type="slide" axis="0 -1 0" range="0 0.04"/>'
+    '<geom name="{0}2" type="box" size="0.01 0.005 0.03" mass="0.05"/></body>'
+)
+
+
+def test_each_tip_has_a_gripper_of_its_own():
+    bodies = limb("a b c", JAWS.format("l")) + limb("d e f", JAWS.format("r")).replace('pos="0.1 0 0.1"', 'pos="-0.5 0 0.1"', 1)
+    tied = '<equality><joint joint1="l2" joint2="l1"/><joint joint1="r2" joint2="r1"/></equality>'
+    jaws = {jaw: f'<position joint="{jaw}" kp="500" kv="10" ctrlrange="0 0.04" forcerange="-20 20"/>' for jaw in ("l1", "r1")}
+    text = mjcf(bodies, motors("a b c d e f l1 r1", **jaws) + tied + '<option timestep="0.001" gravity="0 0 0"/>')
+    simulation = armctl.Simulation(armctl.load(mujoco.MjSpec.from_string(text), tips=["C", "F"]))
+    left = simulation.gripper_at("C")
+    right = simulation.gripper_at("F")
+    assert simulation.gripper is left
+    before = simulation.state.q
+    assert left.open()
+    assert right.move(0.04)
+    assert left.width == pytest.approx(left.width_max, abs=1e-3)
+    assert right.width == pytest.approx(0.04, abs=1e-3)
+    assert simulation.state.q == pytest.approx(before, abs=1e-4)
+    with pytest.raises(armctl.UnknownNameError, match="unknown tip of trap 'X'; known: C, F"):
+        simulation.gripper_at("X")
+
+
 def test_a_relative_tip_ends_where_the_other_one_takes_it(simulation):
     simulation.move_j([0.3, 0.5, 0.6, 0.1, -0.3, 0.5, 0.6, -0.1])
     left = site(simulation, "l") + np.array([0.03, 0.02, 0.05])

@@ -47,12 +47,12 @@ END = np.array([0.12, 0, 0.137])  # where the right hand takes the stick
 
 
 @pytest.fixture(scope="module")
-def pair() -> tuple[armctl.Arm, ...]:
+def pair() -> armctl.Arm:
     """ALOHA's two arms and a stick on the table."""
     if not at_hand("aloha"):
         pytest.skip(f"aloha: {MISSING}")
     stick = armctl.Scene().add_box("stick", [0.02, 0.22, 0.02], at=[-0.12, 0, 0.01], mass=0.05)
-    return armctl.load_arms("aloha", [LEFT, RIGHT], scene=stick)
+    return armctl.load("aloha", scene=stick)
 
 
 def _down(*position: float) -> armctl.Pose:
@@ -62,22 +62,22 @@ def _down(*position: float) -> armctl.Pose:
 
 @pytest.mark.full
 @pytest.mark.parametrize("place", range(2))
-def test_one_arm_hands_a_stick_to_the_other(pair: tuple[armctl.Arm, ...], place: int):
+def test_one_arm_hands_a_stick_to_the_other(pair: armctl.Arm, place: int):
     x, y = np.random.default_rng(place).uniform([-0.16, -0.02], [-0.08, 0.02])
-    team = armctl.Team(pair)
-    team.data.joint("stick").qpos[:2] = x, y
-    left, right, stick = team.gripper(LEFT), team.gripper(RIGHT), team.data.body("stick")
+    sim = armctl.Simulation(pair)
+    sim.data.joint("stick").qpos[:2] = x, y
+    left, right, stick = sim.gripper_at(LEFT), sim.gripper_at(RIGHT), sim.data.body("stick")
     assert left.open()
     assert right.open()
     for z in (0.15, 0.025):
-        assert team.move_to({LEFT: _down(x, y - 0.08, z)})[LEFT]
+        assert sim.move_to({LEFT: _down(x, y - 0.08, z), RIGHT: armctl.STAY})
     assert left.grasp(10).held == "stick"
-    team.move_to({LEFT: _down(x, y - 0.08, 0.15)})
-    team.move_to({LEFT: _down(0, -0.08, 0.15), RIGHT: _down(0, 0.08, 0.28)})
-    assert team.move_to({RIGHT: _down(0, 0.08, 0.137)})[RIGHT]
+    assert sim.move_to({LEFT: _down(x, y - 0.08, 0.15), RIGHT: armctl.STAY})
+    assert sim.move_to({LEFT: _down(0, -0.08, 0.15), RIGHT: _down(0, 0.08, 0.28)})
+    assert sim.move_to({RIGHT: _down(0, 0.08, 0.137), LEFT: armctl.STAY})
     assert right.grasp(10).held == "stick"
     assert left.open()
-    assert team.move_to({LEFT: _down(-0.1, -0.08, 0.35)})[LEFT]
-    team.move_to({RIGHT: _down(END[0], 0.08, 0.15)})
+    assert sim.move_to({LEFT: _down(-0.1, -0.08, 0.35), RIGHT: armctl.STAY})
+    assert sim.move_to({RIGHT: _down(END[0], 0.08, 0.15), LEFT: armctl.STAY})
     assert right.width == pytest.approx(0.02, abs=1e-3)
     assert np.linalg.norm(stick.xpos - END) < 2e-3

@@ -31,7 +31,7 @@ _SERVO_RANGES = ("actuator_ctrllimited", "actuator_ctrlrange", "actuator_forceli
 
 
 class Gripper:
-    """The gripper behind an arm's tip. Made by `Simulation.gripper`.
+    """The gripper behind one of an arm's tips. Made by `Simulation.gripper` and `Simulation.gripper_at`.
 
     Until its first use it is rigid like all other joints outside the chain, so that the controller's model is exact. After
     that its joints move freely.
@@ -40,18 +40,19 @@ class Gripper:
         model: The gripper as it was found in the MuJoCo model.
     """
 
-    def __init__(self, arm: Arm, stepper: Stepper, hold: Callable[[float], None]):
+    def __init__(self, arm: Arm, stepper: Stepper, hold: Callable[[float], None], tip: str | None = None):
         """The gripper of a simulated arm.
 
         Args:
             hold: Runs the simulation for some seconds while the arm holds its position.
+            tip: Which of the arm's tips it is behind; the first one if left out.
 
         Raises:
             ModelError: Nothing moves behind the arm's tip, or it is a hand of many actuators.
         """
         instance("arm", arm, Arm, "armctl.load(name) returns one")
         instance("stepper", stepper, Stepper, "sim.gripper is a gripper that is ready to use")
-        self.model = find_gripper_model(arm)
+        self.model = find_gripper_model(arm, tip)
         self._stepper = stepper
         self._hold = hold
         self._actuators = list(self.model.actuators)

@@ -53,20 +53,23 @@ class GripperModel:
         return -force * slope / len(self.actuators)
 
 
-def find_gripper_model(arm: Arm) -> GripperModel:
-    """The gripper behind an arm's tip; ModelError if there is none, or a hand of many actuators.
+def find_gripper_model(arm: Arm, tip: str | None = None) -> GripperModel:
+    """The gripper behind one of an arm's tips, the first if left out; ModelError if there is none, or a hand of many actuators.
 
     The gripper is closed and opened alone, to find which of its parts meet and which width each control gives: kinematically,
     within the limits of its joints; a linkage that closes a loop, by a simulation without gravity.
     """
-    bodies, dofs = _behind(arm)
+    number = 0 if tip is None else arm.tips.index(tip)
+    tip = arm.tips[number]
+    last = arm.last_bodies[number]
+    bodies, dofs = _behind(arm, last)
     actuators = tuple(a for a in range(arm.model.nactuator) if _moves(arm.model, a, set(dofs.tolist())))
     if not actuators:
-        raise ModelError(f"{arm.name}: no gripper: no actuator moves anything behind the tip {arm.tip!r}")
+        raise ModelError(f"{arm.name}: no gripper: no actuator moves anything behind the tip {tip!r}")
     actuators = tuple(a for a in actuators if _has_range(arm.model, a)) or actuators  # a wheel between racks is no jaw
     if len(actuators) > 2:
         raise ModelError(
-            f"{arm.name}: {len(actuators)} actuators move what is behind the tip {arm.tip!r}: a hand, not a gripper; "
+            f"{arm.name}: {len(actuators)} actuators move what is behind the tip {tip!r}: a hand, not a gripper; "
             "load its fingers as chains"
         )
     mechanism = find_mechanism(arm.model, dofs, actuators)
@@ -82,11 +85,11 @@ def find_gripper_model(arm: Arm) -> GripperModel:
         return _settled(model, dofs, ctrl, actuators, start)
 
     states = [at(corner, home) for corner in corners]
-    palm = frozenset(welded_behind(model, _last_body(arm)))
+    palm = frozenset(welded_behind(model, last))
     try:
         jaws, closed, opened = find_jaws(model, states, palm)
     except ModelError as error:
-        raise ModelError(f"{arm.name}: {error}; the tip is {arm.tip!r}") from None
+        raise ModelError(f"{arm.name}: {error}; the tip is {tip!r}") from None
     table = [(1 - s) * corners[closed] + s * corners[opened] for s in np.linspace(0, 1, _TABLE_SIZE)]
     data = states[closed]
     positions = np.zeros((_TABLE_SIZE, model.nq))
@@ -100,7 +103,7 @@ def find_gripper_model(arm: Arm) -> GripperModel:
     size = int(width.argmax()) + 1  # a jaw that turns by more than 180 degrees comes back
     width = np.array(np.maximum.accumulate(width[:size]) + 1e-12 * np.arange(size), dtype=float)  # strictly increasing
     if np.ptp(width) < MIN_OPENING:
-        raise ModelError(f"{arm.name}: no gripper: what is behind the tip {arm.tip!r} neither opens nor closes")
+        raise ModelError(f"{arm.name}: no gripper: what is behind the tip {tip!r} neither opens nor closes")
     gripper = GripperModel(
         actuators=actuators,
         dofs=dofs,
@@ -111,17 +114,16 @@ def find_gripper_model(arm: Arm) -> GripperModel:
         force_max=np.inf,
         inertia=frozen(inertia),
         followers=_indices([] if mechanism is None else mechanism.followers),
-        overlapping=_indices([] if mechanism is None else _overlapping(arm, positions[_TOUCHING_STATES:size])),
+        overlapping=_indices([] if mechanism is None else _overlapping(arm, last, positions[_TOUCHING_STATES:size])),
     )
     force_limits = np.array([_force_limit(model, a) for a in actuators])
     return replace(gripper, force_max=float(np.min(force_limits / np.abs(gripper.actuator_force(1.0)))))
 
 
-def _overlapping(arm: Arm, positions: Array) -> list[int]:
+def _overlapping(arm: Arm, last: int, positions: Array) -> list[int]:
     """The moving geoms of a gripper that touch its own arm in given positions, (k, nq), without an object between them."""
     model = arm.model
     data = mujoco.MjData(model)
-    last = _last_body(arm)
     found: set[int] = set()
     for qpos in positions:
         data.qpos[:] = qpos
@@ -194,14 +196,9 @@ def _has_range(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(model.actuator_biasprm[actuator, 1] < 0 and model.actuator_ctrllimited[model.actuator_ctrladr[actuator]])
 
 
-def _last_body(arm: Arm) -> int:
-    return arm.last_bodies[0]
-
-
-def _behind(arm: Arm) -> tuple[frozenset[int], IntArray]:
-    """The bodies that the last joint moves, and the degrees of freedom among them."""
+def _behind(arm: Arm, last: int) -> tuple[frozenset[int], IntArray]:
+    """The last body that the joints to a tip move, with those behind it, and the degrees of freedom among them."""
     model = arm.model
-    last = _last_body(arm)
     bodies = frozenset(b for b in range(1, model.nbody) if is_below(model, b, last))
     dofs = [d for d in range(model.nv) if int(model.dof_bodyid[d]) in bodies and d not in arm.dof_adr]
     return bodies, frozen(np.array(dofs, dtype=np.int64))
