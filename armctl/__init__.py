@@ -21,12 +21,19 @@ _OTHER_NAMES = {
     "PID": "ComputedTorqueObserver",
     "Sim": "Simulation",
 }
+# Names that armctl had: what to write instead.
+_FORMER_NAMES = {
+    "load_arms": "armctl.load(robot, tips=[...]), which returns one arm with several tips",
+    "Team": "armctl.Simulation(arm) with an arm of several tips, which takes targets by tip",
+}
 
 _public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
+        if name in _FORMER_NAMES:
+            raise AttributeError(f"armctl has no attribute {name!r}; use {_FORMER_NAMES[name]}", name=name)
         near = _OTHER_NAMES.get(name) or ", ".join(
             difflib.get_close_matches(name, __all__, n=2, cutoff=0.5) or [k for k in __all__ if name.lower() in k.lower()]
         )

@@ -111,7 +111,6 @@ from .model.collision.clearance import check_clearance as check_clearance
 from .model.loading.chain import SerialChain as SerialChain
 from .model.loading.load import chains as chains
 from .model.loading.load import load as load
-from .model.loading.load import load_arms as load_arms
 from .model.loading.scene import Scene as Scene
 from .plan.ik.all_solutions import solve_ik_all as solve_ik_all
 from .plan.ik.differential import DifferentialIk as DifferentialIk
@@ -171,6 +170,5 @@ from .run.sim.plant import Push as Push
 from .run.sim.simulate import simulate as simulate
 from .run.sim.simulate import simulate_many as simulate_many
 from .run.sim.simulation import Simulation as Simulation
-from .run.sim.team import Team as Team
 
 __version__: str

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import ctypes
 import functools
 import os
 import platform
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.cli import common
-from armctl.core.errors import InputError, ModelError
+from armctl.core.errors import ArmctlWarning, InputError
 
 if TYPE_CHECKING:
     from armctl.model.arm.arm import Arm
@@ -79,19 +79,14 @@ def scenes_by_name(paths: Sequence[str]) -> dict[str, str | None]:
 
 
 def loaded_arms(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]:
-    """The arm in a scene; if it has several limbs, all of the same length, or else the first."""
-    from armctl.model.loading.load import chains, load_arms
-
+    """The arm in a scene; of an arm with several tips, the arm to each of them."""
     args = argparse.Namespace(**{**vars(args), "scene": scene})
     arm = common.load_arm(args)
     if not arm.further_tips:
         return (arm,)
-    found = [chain for chain in chains(args.robot) if chain.ok]
-    tips = [chain.tip for chain in found if len(chain.joint_names) == len(found[0].joint_names)]
-    with contextlib.suppress(ModelError):
-        return load_arms(args.robot, tips, base=args.base, scene=args.scene, srdf=args.srdf, shapes=args.shapes)
-    args.tip = arm.tip
-    return (common.load_arm(args),)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ArmctlWarning)  # they were shown for the whole
+        return tuple(common.load_arm(argparse.Namespace(**{**vars(args), "tip": tip})) for tip in arm.tips)
 
 
 def _return_large_buffers() -> None:

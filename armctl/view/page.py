@@ -82,7 +82,7 @@ class Page:
     """Arms on a web page, of which one at a time is commanded, in one of several scenes."""
 
     def __init__(self, arms: Sequence[Arm], scene: WebScene, controller: str = "computed-torque", scenes: Scenes | None = None):
-        """Puts arms of one model, and their controls, on a page; visitors choose among `scenes`."""
+        """Puts arms of one robot, and their controls, on a page; visitors choose among `scenes`."""
         self.scene = scene
         self.url = scene.url
         self.port = scene.port
@@ -211,7 +211,7 @@ def view(
     """Serves a page with an arm that follows a target, until Ctrl-C.
 
     Args:
-        scenes: Functions that load the arms in a scene, one arm or several of one model, by the scene's name. The first is
+        scenes: Functions that load the arms in a scene, one arm or several of one robot, by the scene's name. The first is
             called while the browser opens; visitors choose among several.
         port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
         host: Address of this machine at which other machines reach the page; None for this machine alone.

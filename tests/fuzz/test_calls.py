@@ -166,7 +166,6 @@ def world() -> dict[str, object]:
         "State": armctl.State(setpoint.q, setpoint.v),
         "Stream": armctl.Stream(arm, arm.home),
         "Target": armctl.Target.read(arm.fk(arm.home)),
-        "Team": armctl.Team([arm]),
         "TorqueFilter": armctl.TorqueFilter(arm, armctl.PD(arm), armctl.Notch(50.0)),
         "TorqueRateLimit": armctl.TorqueRateLimit(arm, armctl.PD(arm), 100.0),
         "envs.ArmEnv": env,

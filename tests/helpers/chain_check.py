@@ -12,8 +12,7 @@ from armctl.core.validation import Array, BoolArray
 from armctl.model.arm.arm import Arm
 from armctl.model.arm.parity import PARITY_TOLERANCE, check_parity
 from armctl.model.collision.checkers import collision_checker
-from armctl.model.loading.chain import SerialChain
-from armctl.model.loading.load import chains, load_arms
+from armctl.model.loading.load import chains, load
 from armctl.plan.ik.solve_batch import solve_ik_batch
 from armctl.plan.motion.move_j import move_j
 from armctl.run.sim.simulate import simulate
@@ -74,15 +73,10 @@ class ChainCheck:
 
 
 def arms_of(robot: str) -> Iterator[tuple[str, Arm]]:
-    """Every chain of a robot that can be loaded, with its base; chains that can move at once are loaded at once."""
-    waiting = [chain for chain in chains(robot) if chain.ok]
-    while waiting:
-        together = _independent(waiting)
-        waiting = [chain for chain in waiting if chain not in together]
-        base = together[0].base
-        tips = [chain.tip for chain in together]
-        for arm in load_arms(robot, tips, base=None if base == "world" else base):
-            yield base, arm
+    """Every chain of a robot that can be loaded, with its base."""
+    for chain in chains(robot):
+        if chain.ok:
+            yield chain.base, load(robot, tip=chain.tip, base=None if chain.base == "world" else chain.base)
 
 
 def check_chain(arm: Arm, base: str, poses: int) -> ChainCheck:
@@ -108,16 +102,6 @@ def check_chain(arm: Arm, base: str, poses: int) -> ChainCheck:
         computed_torque_error=error,
         tracking_note=note,
     )
-
-
-def _independent(waiting: Sequence[SerialChain]) -> list[SerialChain]:
-    """The first chain, and those after it on the same base that share no actuator with another one."""
-    together = [waiting[0]]
-    for chain in waiting[1:]:
-        shares_none = all(not set(chain.actuator_names) & set(other.actuator_names) for other in together)
-        if shares_none and chain.base == together[0].base:
-            together.append(chain)
-    return together
 
 
 def _are_answers(arm: Arm, q: Array, ok: BoolArray, targets: Sequence[Pose]) -> list[bool]:

@@ -50,8 +50,6 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: armctl.move_free(arm(), arm().home, arm().home, allow=np.array(1.0)),
         "allow: expected pairs of names, got array",
     ),
-    "a team's name": (lambda: armctl.Team("x"), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
-    "a team of one": (lambda: armctl.Team(arm()), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
     "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: expected str, got 3"),  # type: ignore
     "complex joints": (lambda: arm().fk(arm().home + 1j), "q: array.* is not an array of numbers"),
     "a huge integer": (lambda: arm().fk([0, 0, 10**400]), "q: .* is not an array of numbers"),
@@ -111,7 +109,10 @@ NAMES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: armctl.move_free(arm(), arm().home, arm().home, allow=[("\ud800", "x")]),
         "unknown body or geom in allow ",
     ),
-    "no tip of a team": (lambda: armctl.Team([arm()]).tip(Unprintable()), "tip: an object of type Unprintable is not a name"),  # type: ignore
+    "no gripper's tip": (
+        lambda: armctl.Simulation(arm()).gripper_at(Unprintable()),
+        "tip of robot_arm_3dof: an object of type Unprintable is not a name",
+    ),  # type: ignore
 }
 
 

@@ -84,7 +84,7 @@ class _RobotSpec:
 
 @dataclass(frozen=True, eq=False)
 class _LoadRecipe:
-    """The arguments of `load` or `load_arms`, from which its model is made."""
+    """The arguments of `load`, from which its model is made."""
 
     robot: str | os.PathLike[str] | mujoco.MjSpec  # as for `load`
     ends: tuple[ArmEnds, ...]  # where each arm begins and ends
@@ -214,52 +214,6 @@ def load(
     named = None if moving_base else base
     ends = [ArmEnds(tip=tip, base=named, tip_offset=tip_offset, further_tips=further_tips, moving_base=moving_base)]
     return _loaded(robot, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)[0]
-
-
-def load_arms(
-    robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
-    tips: Sequence[str],
-    *,
-    base: str | Sequence[str | None] | None = None,
-    scene: Scene | str | os.PathLike[str] | None = None,
-    srdf: str | os.PathLike[str] | None = None,
-    shapes: str | None = None,
-) -> tuple[Arm, ...]:
-    """Several chains of one robot that move at the same time: two arms, four legs, five fingers.
-
-    Args:
-        robot: A name, the path of a file, an MjSpec or an MjModel.
-        tips: The site, body or geom at the end of each chain.
-        base: The body at the start of all chains, or one for each: joints above it are held. Left out (None), they start at
-            the world.
-        scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
-        srdf: The path of an SRDF. Left out, armctl uses the one beside a URDF.
-        shapes: "capsules" or "visual": the collision shape of links that need one and have none; left out, they get none.
-
-    Returns:
-        An arm for each tip; all share one model, in which all of them have torque motors.
-
-    Raises:
-        InputError: An argument has a wrong type, the bases are not as many as the tips, or the names of the scene are taken.
-        UnknownNameError: No robot, or nothing in the model, has that name.
-        ModelError: The file cannot be read, is no arm, or could not be downloaded; or two chains share a joint, or one is
-            mounted on another.
-
-    Warns:
-        ArmctlWarning: The model leaves out something that had to be assumed; a `MissingShapeWarning` if links have no shape.
-    """
-    tips = _names("tips", tips)
-    bases: list[str | None]
-    if base is None or isinstance(base, str):
-        bases = [base for _ in tips]
-    elif isinstance(base, Sequence):
-        bases = list(base)
-    else:
-        raise InputError(f"base: {shown(base)} is neither the name of a body nor a list of names")
-    if len(bases) != len(tips):
-        raise InputError(f"base: {len(bases)} given for {len(tips)} tips; give one for each, or one for all")
-    ends = [ArmEnds(named_tip, named_base) for named_tip, named_base in zip(tips, bases, strict=True)]
-    return _loaded(robot, ends, moving_base=None, tool=None, scene=scene, srdf=srdf, shapes=shapes)
 
 
 def _names(what: str, names: Sequence[str]) -> list[str]:

@@ -182,7 +182,7 @@ class RealTimeSession:
         self._command("reset", restart)
 
     def stand_by(self, standing_by: bool) -> None:
-        """Stops the session while another one moves another arm of the same model, or lets it go on."""
+        """Stops the session while another one moves another arm of the same robot, or lets it go on."""
 
         def change() -> None:
             self.is_standing_by = bool(standing_by)

@@ -7,7 +7,6 @@ from synthetic import FAST, FINGERS, PULL, RIGID, TIED, limb, mjcf, motors, tend
 
 import armctl
 from armctl.model.arm.dynamics import Dynamics
-from armctl.model.arm.joint_map import JointMap
 from armctl.model.arm.parity import check_parity
 from armctl.model.mjmodel.transmissions import Transmission, Transmissions
 from armctl.plan.ik.solve_batch import solve_ik_batch
@@ -113,19 +112,14 @@ def test_inverse_kinematics_keeps_what_follows_clear_too(load):
     assert not armctl.solve_ik(arm, target, avoid=True).ok
 
 
-def test_tied_chains_in_one_team(load, tmp_path):
+def test_tied_chains_of_one_arm(load):
     bodies = limb("a", limb("b c")) + limb("d", limb("e f")).replace('pos="0.1 0 0.1"', 'pos="-0.6 0 0.1"', 1)
-    load(bodies, ties("c b 0 0.5", "f e 0 -1") + motors("a b d e"), tip="C")
-    arms = armctl.load_arms(tmp_path / "trap.xml", ["C", "F"])
-    logs = armctl.Team(arms).run({"C": armctl.move_j(arms[0], arms[0].home, arms[0].home + 0.5)}, dwell=0.1)
-    assert np.abs(logs["C"].q - logs["C"].q_ref).max() < 1e-6
-    assert np.abs(logs["F"].q - arms[1].home).max() < 1e-6
-
-
-def test_two_chains_that_one_motor_moves_are_no_team(load, tmp_path):
-    load(limb("a b", FINGERS), ties("right left 0 -1") + motors("a b left"))
-    with pytest.raises(armctl.ModelError, match="the chains to 'LEFT' and 'RIGHT' both move joint 'left'; give one of them"):
-        armctl.load_arms(tmp_path / "trap.xml", ["LEFT", "RIGHT"], base="B")
+    arm = load(bodies, ties("c b 0 0.5", "f e 0 -1") + motors("a b d e"), tips=["C", "F"])
+    log = armctl.simulate(
+        arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home + np.array([0.5, 0.5, 0.0, 0.0])), dwell=0.1
+    )
+    assert np.abs(log.q - log.q_ref).max() < 1e-6
+    assert np.abs(log.q[:, 2:] - arm.home[2:]).max() < 1e-6
 
 
 CABLE = f"<actuator>{PULL}</actuator>"
@@ -222,11 +216,9 @@ def test_a_spring_between_the_fingers_leaves_the_arm_alone(load):
         load(limb("a b", fingers), FAST + spring + motors("a b left"), tip="LEFT")
 
 
-def test_the_joints_of_a_team_lead_what_follows_them_in_each_arm(load, tmp_path):
+def test_joints_lead_what_follows_them_in_each_chain(load):
     bodies = limb("a", limb("b c")) + limb("d", limb("e f")).replace('pos="0.1 0 0.1"', 'pos="-0.6 0 0.1"', 1)
-    load(bodies, ties("c b 0.3 0.5", "f e 0 -1") + motors("a b d e"), tip="C")
-    arms = armctl.load_arms(tmp_path / "trap.xml", ["C", "F"])
-    together = JointMap.concatenated([arm.joint_map for arm in arms])
+    together = load(bodies, ties("c b 0.3 0.5", "f e 0 -1") + motors("a b d e"), tips=["C", "F"]).joint_map
     q = np.array([0.1, 0.2, 0.3, 0.4])
     assert together.positions(q)[together.leaders] == pytest.approx(q)
     assert together.positions(q) == pytest.approx([0.1, 0.2, 0.4, 0.3, 0.4, -0.4])

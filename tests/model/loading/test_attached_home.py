@@ -41,17 +41,15 @@ def test_two_nominal_voltages_that_give_different_torques_compile_to_the_same_nu
 
 @pytest.mark.parametrize(("first", "second"), [("left/", "right/"), ("l_", "r_"), ("arm", "arm2")])
 def test_each_attached_arm_starts_in_its_own_keyframe(first: str, second: str):
-    left, right = armctl.load_arms(pair(first, second), [f"{first}B", f"{second}B"])
-    assert left.home.tolist() == [0.3, -0.7]
-    assert right.home.tolist() == [-0.3, 0.7]
+    both = armctl.load(pair(first, second), tips=[f"{first}B", f"{second}B"])
+    assert both.home.tolist() == [0.3, -0.7, -0.3, 0.7]
     alone = armctl.load(pair(first, second), tip=f"{second}B")
     assert alone.home.tolist() == [-0.3, 0.7]
 
 
 def test_a_suffix_serves_as_a_prefix():
-    left, right = armctl.load_arms(pair("_l", "_r", suffix=True), ["/B_l", "/B_r"])
-    assert left.home.tolist() == [0.3, -0.7]
-    assert right.home.tolist() == [-0.3, 0.7]
+    both = armctl.load(pair("_l", "_r", suffix=True), tips=["/B_l", "/B_r"])
+    assert both.home.tolist() == [0.3, -0.7, -0.3, 0.7]
 
 
 def test_an_arm_on_a_pedestal_is_at_its_own_home():
@@ -64,8 +62,7 @@ def test_the_home_of_the_whole_model_comes_before_that_of_a_part():
     spec = pair("left/", "right/")
     spec.compile()
     spec.add_key(name="home", qpos=[0.5, 0.6, 0.7, 0.8])
-    left, right = armctl.load_arms(spec, ["left/B", "right/B"])
-    assert np.concatenate([left.home, right.home]).tolist() == [0.5, 0.6, 0.7, 0.8]
+    assert armctl.load(spec, tips=["left/B", "right/B"]).home.tolist() == [0.5, 0.6, 0.7, 0.8]
 
 
 def test_a_dc_motor_of_a_specification_has_the_curve_of_its_file(tmp_path):

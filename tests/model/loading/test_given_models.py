@@ -39,12 +39,12 @@ def loaded(robot, **how) -> armctl.Arm:
         return armctl.load(robot, **how)
 
 
-@pytest.mark.parametrize("kind", ["spec", "model", "several arms"])
+@pytest.mark.parametrize("kind", ["spec", "model", "several tips"])
 def test_a_warning_points_at_the_line_that_loads(kind: str):
     spec = mujoco.MjSpec.from_string(mjcf(limb("a"), '<actuator><motor name="a" joint="a"/></actuator>'))
     with pytest.warns(armctl.ArmctlWarning, match="no torque limit") as caught:  # noqa: PT031
-        if kind == "several arms":
-            armctl.load_arms(spec, [armctl.chains(spec)[0].tip])
+        if kind == "several tips":
+            armctl.load(spec, tips=[armctl.chains(spec)[0].tip])
         else:
             armctl.load(spec.compile() if kind == "model" else spec)
     assert {each.filename for each in caught} == {__file__}
@@ -171,10 +171,9 @@ def test_a_specification_can_get_a_base_a_tool_and_a_scene(tmp_path: Path):
 def test_several_arms_and_chains_come_from_a_compiled_model():
     model = mujoco.MjModel.from_xml_string(mjcf(limb("a b c") + limb("d e"), motors("a b c d e")))
     assert [chain.joint_names for chain in armctl.chains(model)] == [("a", "b", "c"), ("d", "e")]
-    first, second = armctl.load_arms(model, ["C", "E"])
-    assert first.model is second.model
-    assert first.joint_names == ("a", "b", "c")
-    assert second.joint_names == ("d", "e")
+    arm = armctl.load(model, tips=["C", "E"])
+    assert arm.joint_names == ("a", "b", "c", "d", "e")
+    assert arm.tips == ("C", "E")
 
 
 def test_the_name_of_the_model_is_the_name_of_the_arm():

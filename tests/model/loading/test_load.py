@@ -413,10 +413,10 @@ def test_an_argument_of_a_wrong_type_is_an_input_error(argument: str):
         armctl.load("robot_arm_3dof", **{argument: WRONG_TYPES[argument]})
 
 
-@pytest.mark.parametrize("tips", [3, "end_effector", [], {"end_effector": 1}, None])
+@pytest.mark.parametrize("tips", [3, "end_effector", [], {"end_effector": 1}])
 def test_tips_that_are_no_list_of_names_are_an_input_error(tips: object):
     with pytest.raises(armctl.InputError, match=r"^tips: "):
-        armctl.load_arms("robot_arm_3dof", tips)  # pyright: ignore[reportArgumentType]
+        armctl.load("robot_arm_3dof", tips=tips)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.skipif(not at_hand("kinova_gen3"), reason="kinova_gen3: its model is not installed")

@@ -196,7 +196,7 @@ def test_each_of_several_lifted_arms_bears_its_own_payload(tmp_path: Path):
     path = tmp_path / "two.xml"
     other = re.sub(r'name="(\w+)"', r'name="\1_2"', LIFTED)
     path.write_text(mjcf(LIFTED + other, motors("a b c a_2 b_2 c_2")))
-    arms = armctl.load_arms(path, ["tip", "tip_2"])
+    arms = [armctl.load(path, tip=tip) for tip in ("tip", "tip_2")]
     q = np.array([0.4, 0.9, -0.7])
     first = arms[0].with_payload(1.0).gravity(q)
     second = arms[1].with_payload(1.0).gravity(q)

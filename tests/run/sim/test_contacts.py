@@ -71,14 +71,14 @@ def test_what_is_behind_the_last_joint_does_not_touch_itself(slider):
     assert log.contacts == ()
 
 
-def test_a_team_gives_each_arm_its_own_contacts(tmp_path):
+def test_a_log_names_the_contacts_of_each_of_two_arms(tmp_path):
     path = tmp_path / "pair.xml"
     other = REACHER.format("").replace('"slider" pos="0 0 0.3"', '"still" pos="0 2 0.3"').replace('"x"', '"y"')
     path.write_text(mjcf(REACHER.format("") + other.replace('"tip"', '"end"') + BLOCK.format(0.3), motors("x y")))
-    first, second = armctl.load_arms(path, ["tip", "end"])
-    logs = armctl.Team([first, second], {"tip": "pd", "end": "pd"}).run({"tip": armctl.move_j(first, [0.0], [0.5])})
-    assert [(c.body, c.other) for c in logs["tip"].contacts] == [("slider", "block")]
-    assert logs["end"].contacts == ()
+    arm = armctl.load(path, tips=["end", "tip"])
+    sim = armctl.Simulation(arm, "pd")
+    log = sim.run(armctl.move_j(arm, arm.home, arm.home + np.array([0.0, 0.5])))
+    assert [(c.body, c.other) for c in log.contacts] == [("slider", "block")]
 
 
 def test_contacts_are_saved_and_loaded_with_the_log(slider, tmp_path):

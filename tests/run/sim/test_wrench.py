@@ -137,17 +137,18 @@ def test_a_link_that_touches_in_front_of_the_sensor_is_named(tmp_path):
     assert not unaware.unmeasured_bodies
 
 
-def test_each_arm_of_a_team_gets_its_own_wrench(tmp_path):
+@pytest.mark.parametrize("tips", [["C", "F"], ["F", "C"]])
+def test_the_wrench_of_an_arm_with_several_tips_is_that_of_the_first(tmp_path, tips):
     path = tmp_path / "pair.xml"
     path.write_text(mjcf(PAIR, motors("a b c d e f")))
-    arms = armctl.load_arms(path, ("C", "F"))
-    watching = {arm.tip: Watching(armctl.ComputedTorque(arm)) for arm in arms}
-    team = armctl.Team(arms, watching)
-    team.data.xfrc_applied[arms[1].tip_body, :3] = FORCE
-    logs = team.run({"C": armctl.move_j(arms[0], arms[0].home, arms[0].home + 0.01)})
-    assert not logs["C"].wrench.any()
-    assert logs["F"].wrench[-1][:3] == pytest.approx(FORCE)
-    assert watching["F"].seen[-1][:3] == pytest.approx(FORCE)
+    arm = armctl.load(path, tips=tips)
+    watching = Watching(armctl.ComputedTorque(arm))
+    sim = armctl.Simulation(arm, watching)
+    sim.data.xfrc_applied[sim.model.body("F").id, :3] = FORCE
+    log = sim.run(armctl.move_j(arm, arm.home, arm.home + 0.01))
+    expected = FORCE if arm.tip == "F" else np.zeros(3)
+    assert log.wrench[-1][:3] == pytest.approx(expected)
+    assert watching.seen[-1][:3] == pytest.approx(expected)
 
 
 def test_a_log_keeps_the_wrench_in_a_file(at_wall, tmp_path):
