@@ -62,9 +62,8 @@ def _control_facts(arm: Arm) -> dict[str, Any]:
     }
 
 
-def describe(arm: Arm) -> str:
-    """An arm in words: a table of its joints and limits, for several tips one of the tips, and the sources of the limits."""
-    data = facts(arm)
+def describe(arm: Arm, data: dict[str, Any]) -> str:
+    """The `facts` of an arm in words: joints and limits in a table, several tips in another; and where the limits are from."""
     noun = "joint" if arm.n == 1 else "joints"
     moving = f"{arm.name}: {arm.n} {noun}, {data['mass_kg']:.2f} kg moving"
     base = [] if arm.base == "fixed" else [f"base: {arm.base}, moved by q[{span(range(len(BASE_JOINTS[arm.base])))}]"]

@@ -54,7 +54,8 @@ def show_info(args: argparse.Namespace) -> int:
     from armctl.cli.describe import describe, facts
 
     arm = common.load_arm_with_notes(args)
-    common.print_result(args, describe(arm), facts(arm))
+    data = facts(arm)
+    common.print_result(args, describe(arm, data), data)
     return common.DONE
 
 

@@ -250,13 +250,13 @@ def _damped_stiffness(
     them at once, then of each alone. Bounds that the given gains miss are those that these have.
     """
     heavy = np.flatnonzero(sampled.damping > damping)
-    peak, delay = pd_margins(sampled, stiffness, damping, dt)
-    max_peak = max(peak, _DESIGN_SENSITIVITY)
-    min_delay = min(delay, _DELAY_RESERVE * max(delay_margin, MIN_DELAY_MARGIN_PERIODS * dt))
+    given = PdLoops(sampled, stiffness, damping, dt)
+    max_peak = max(given.peak_sensitivity, _DESIGN_SENSITIVITY)
+    min_delay = min(given.delay_margin, _DELAY_RESERVE * max(delay_margin, MIN_DELAY_MARGIN_PERIODS * dt))
 
     def is_within(raised: Array, at: SampledInertia, frequencies: int) -> bool:
-        peak, delay = pd_margins(at, raised, damping, dt, frequencies)
-        return peak <= max_peak and delay > 0.0 and delay >= min_delay
+        loops = PdLoops(at, raised, damping, dt, frequencies)
+        return loops.peak_sensitivity <= max_peak and 0.0 < loops.delay_margin >= min_delay
 
     last = slice(-_SEARCHED_CONFIGURATIONS, None)
     some = replace(
@@ -280,29 +280,39 @@ def _times(gains: Array, joints: IntArray, factor: float) -> Array:
     return scaled
 
 
-def pd_margins(
-    sampled: SampledInertia, stiffness: Array, damping: Array, dt: float, frequencies: int = _FREQUENCIES
-) -> tuple[float, float]:
-    """The largest sensitivity of a joint, the other joints closed, and the delay margin, s, under PD; 0 s if it is unstable.
+class PdLoops:
+    """The loops of PD, with gravity compensation and without, at all configurations of `sampled`.
 
-    With and without gravity compensation, in MuJoCo's steps, whose damping acts at the end of a step, at the samples.
+    In MuJoCo's steps, whose damping acts at the end of a step, at the samples.
     """
-    n = len(stiffness)
-    w = np.geomspace(_MIN_FREQUENCY, _MAX_FREQUENCY / dt, frequencies)
-    rate = ((1 - np.exp(-1j * w * dt)) / dt)[:, None, None, None]  # of a velocity to its position
-    acceleration = rate * ((np.exp(1j * w * dt) - 1) / dt)[:, None, None, None]
-    own = np.diag(sampled.damping)
-    inertia = acceleration * (sampled.mass + dt * own) + rate * own
-    compliance = np.linalg.inv(inertia + sampled.gravity_stiffness)
-    pd = np.eye(n) * (stiffness + rate * damping)
-    peak = 0.0
-    delay = np.inf
-    for feedback in (pd, pd - sampled.gravity_stiffness):
-        loop = np.asarray(feedback @ compliance, dtype=np.complex128)
-        sensitivity = np.linalg.inv(np.eye(n) + loop)
-        peak = max(peak, float(np.abs(np.diagonal(sensitivity, axis1=2, axis2=3)).max()))
-        delay = min(delay, _delay_margin(w, loop))
-    return peak, delay if _is_stable(sampled, stiffness, damping, dt) else 0.0
+
+    def __init__(
+        self, sampled: SampledInertia, stiffness: Array, damping: Array, dt: float, frequencies: int = _FREQUENCIES
+    ) -> None:
+        self._design = (sampled, stiffness, damping, dt)
+        n = len(stiffness)
+        self._w = w = np.geomspace(_MIN_FREQUENCY, _MAX_FREQUENCY / dt, frequencies)
+        rate = ((1 - np.exp(-1j * w * dt)) / dt)[:, None, None, None]  # of a velocity to its position
+        acceleration = rate * ((np.exp(1j * w * dt) - 1) / dt)[:, None, None, None]
+        own = np.diag(sampled.damping)
+        inertia = acceleration * (sampled.mass + dt * own) + rate * own
+        compliance = np.linalg.inv(inertia + sampled.gravity_stiffness)
+        pd = np.eye(n) * (stiffness + rate * damping)
+        self._loops = [
+            np.asarray(feedback @ compliance, dtype=np.complex128) for feedback in (pd, pd - sampled.gravity_stiffness)
+        ]
+
+    @property
+    def peak_sensitivity(self) -> float:
+        """The largest sensitivity of a joint, the other joints closed."""
+        unit = np.eye(self._loops[0].shape[-1])
+        sensitivities = (np.linalg.inv(unit + loop) for loop in self._loops)
+        return max(float(np.abs(np.diagonal(each, axis1=2, axis2=3)).max()) for each in sensitivities)
+
+    @property
+    def delay_margin(self) -> float:
+        """s; 0 if a loop is unstable."""
+        return min(_delay_margin(self._w, loop) for loop in self._loops) if _is_stable(*self._design) else 0.0
 
 
 def _is_stable(sampled: SampledInertia, stiffness: Array, damping: Array, dt: float) -> bool:

@@ -6,8 +6,8 @@ import numpy as np
 
 from armctl.control.gains import (
     MAX_GRAVITY_EXCESS,
+    PdLoops,
     margin_gains,
-    pd_margins,
     sample_configurations,
     sampled_inertia,
 )
@@ -60,9 +60,9 @@ def margin_exceptions(arm: Arm) -> tuple[MarginException, ...]:
 
 
 def pd_peak_sensitivity(arm: Arm, dt: float) -> float:
-    """The largest sensitivity of a joint under the default PD: see `pd_margins`."""
+    """The largest sensitivity of a joint under the default PD: see `PdLoops`."""
     gains = margin_gains(arm, dt)
-    return pd_margins(sampled_inertia(arm), gains.stiffness, gains.damping, dt)[0]
+    return PdLoops(sampled_inertia(arm), gains.stiffness, gains.damping, dt).peak_sensitivity
 
 
 def _impedance_gravity_ratio(arm: Arm) -> float:

@@ -100,7 +100,7 @@ def test_the_description_of_an_arm_has_the_slowest_pole_beside_the_bandwidth(loa
     arm = load(limb("a b", joint='damping="3" armature="0.05"'), motors("a b"))
     slowest = armctl.linearize(arm, "computed-torque", arm.home).slowest_pole
     assert facts(arm)["slowest_pole_per_s"] == pytest.approx(slowest)
-    assert f"slowest pole {slowest:.3g} 1/s, bandwidth 30 rad/s" in describe(arm)
+    assert f"slowest pole {slowest:.3g} 1/s, bandwidth 30 rad/s" in describe(arm, facts(arm))
 
 
 def test_a_comparison_waits_for_slow_laws_and_says_when_they_settled(load):

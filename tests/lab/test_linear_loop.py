@@ -30,7 +30,7 @@ def loops() -> list[armctl.LinearLoop]:
     return [loop_of(seed) for seed in range(LOOPS)]
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(LOOPS, marks=pytest.mark.full)])
+@pytest.mark.parametrize("count", [5, pytest.param(LOOPS, marks=pytest.mark.nightly)])
 def test_margins_and_all_crossovers_are_python_controls(loops, count):
     found = 0
     for loop in loops[:count]:
@@ -56,8 +56,9 @@ def test_margins_and_all_crossovers_are_python_controls(loops, count):
     assert found > count
 
 
-def test_disk_margins_are_python_controls(loops):
-    for loop in loops:
+@pytest.mark.parametrize("count", [10, pytest.param(LOOPS, marks=pytest.mark.nightly)])
+def test_disk_margins_are_python_controls(loops, count):
+    for loop in loops[:count]:
         w = np.geomspace(1e-5, 0.999_999, 3_000) * np.pi / loop.dt
         radius, gain_db, phase_degrees = control.disk_margins(loop.to_control(), w, skew=0.0)
         mine = loop.disk_margins()

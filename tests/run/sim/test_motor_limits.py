@@ -9,7 +9,7 @@ from motions import Still
 from synthetic import limb, motors
 
 import armctl
-from armctl.cli.describe import describe
+from armctl.cli.describe import describe, facts
 
 INERTIA = 0.5  # kg m^2
 OWN = 20.0  # N m, of the motor in the file
@@ -111,8 +111,8 @@ def test_environments_obey_the_limits_of_a_weakened_arm(load):
 def test_the_description_of_an_arm_says_which_motors_are_weaker_than_its_limits(load):
     arm = load(limb("a b"), motors("a b"))
     strong = arm.with_limits(replace(arm.limits, tau_max=np.array([10.0, 50.0])))
-    assert "note: the motor of b gives 20 N m in simulations, less than its tau_max" in describe(strong)
-    assert "gives 20 N m" not in describe(arm)
+    assert "note: the motor of b gives 20 N m in simulations, less than its tau_max" in describe(strong, facts(strong))
+    assert "gives 20 N m" not in describe(arm, facts(arm))
     assert strong.motor_torque_limits == pytest.approx([10.0, 20.0])
     slightly = arm.with_limits(replace(arm.limits, tau_max=np.array([10.0, 20.1])))
     assert slightly.motor_torque_limits == pytest.approx([10.0, 20.0])
