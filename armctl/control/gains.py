@@ -291,13 +291,14 @@ class PdLoops:
     ) -> None:
         self._design = (sampled, stiffness, damping, dt)
         n = len(stiffness)
-        self._w = w = np.geomspace(_MIN_FREQUENCY, _MAX_FREQUENCY / dt, frequencies)
+        w = np.geomspace(_MIN_FREQUENCY, _MAX_FREQUENCY / dt, frequencies)
         rate = ((1 - np.exp(-1j * w * dt)) / dt)[:, None, None, None]  # of a velocity to its position
         acceleration = rate * ((np.exp(1j * w * dt) - 1) / dt)[:, None, None, None]
         own = np.diag(sampled.damping)
         inertia = acceleration * (sampled.mass + dt * own) + rate * own
         compliance = np.linalg.inv(inertia + sampled.gravity_stiffness)
         pd = np.eye(n) * (stiffness + rate * damping)
+        self._frequencies = w
         self._loops = [
             np.asarray(feedback @ compliance, dtype=np.complex128) for feedback in (pd, pd - sampled.gravity_stiffness)
         ]
@@ -312,7 +313,7 @@ class PdLoops:
     @property
     def delay_margin(self) -> float:
         """s; 0 if a loop is unstable."""
-        return min(_delay_margin(self._w, loop) for loop in self._loops) if _is_stable(*self._design) else 0.0
+        return min(_delay_margin(self._frequencies, loop) for loop in self._loops) if _is_stable(*self._design) else 0.0
 
 
 def _is_stable(sampled: SampledInertia, stiffness: Array, damping: Array, dt: float) -> bool:

@@ -250,7 +250,11 @@ def test_files_have_the_identified_servos(known, file, tmp_path):
         pytest.param(
             "", '<position joint="a" kp="20" kv="1" ctrlrange="-1.5 1.5" forcerange="-20 20"/>', marks=pytest.mark.nightly
         ),
-        ('<velocity joint="b" kv="1" forcerange="-5 5"/>', '<motor joint="a" forcerange="-1 1"/>'),
+        pytest.param(
+            '<velocity joint="b" kv="1" forcerange="-5 5"/>',
+            '<motor joint="a" forcerange="-1 1"/>',
+            marks=pytest.mark.nightly,
+        ),
     ],
     ids=["a motor before the servo", "two servos", "two on both"],
 )

@@ -40,7 +40,7 @@ def test_every_other_module_is_imported_and_an_arm_moves(environment, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_their_tests_pass(environment, tmp_path):
     shutil.copytree(TESTS, tmp_path / "tests", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(TESTS.parent / "pyproject.toml", tmp_path)
