@@ -133,6 +133,7 @@ from .plan.motion.move_sequence import move_sequence as move_sequence
 from .plan.motion.move_through import move_through as move_through
 from .plan.motion.online import OnlineMotion as OnlineMotion
 from .plan.motion.sections import Via as Via
+from .plan.motion.time_path import time_path as time_path
 from .plan.motion.torque_limits import TorqueCheck as TorqueCheck
 from .plan.motion.torque_limits import check_torque as check_torque
 from .plan.motion.trajectory.joint_trajectory import JointTrajectory as JointTrajectory

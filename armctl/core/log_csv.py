@@ -6,8 +6,9 @@ Velocities are not read, since robots report them filtered and delayed. They fol
 import csv
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TextIO
 
 import numpy as np
 
@@ -30,7 +31,7 @@ _UNITS: dict[str, dict[str, float]] = {
 }
 _DEFAULT_UNITS = {"t": "s", "q": "rad", "tau": "N m"}
 _SLIDE_UNITS = ("m", "mm")
-_MAX_BYTES = 2_000_000_000
+MAX_TABLE_BYTES = 2_000_000_000
 _MAX_ROWS = 20_000_000  # on the even time grid; more is taken for a wrong unit of time
 _MIN_CSV_ROWS = 50
 _MAX_GAP_S = 0.1  # over which positions are interpolated
@@ -106,13 +107,9 @@ def _unit_of_each_column(names: Mapping[str, list[str]], units: Mapping[str, str
 
 def _read_table(path: os.PathLike[str], wanted: Mapping[str, str | list[str]]) -> tuple[dict[str, list[str]], Array]:
     """The names of the columns of each quantity, and their numbers (T, 1 + 2 n)."""
-    check_size(os.path.getsize(path), _MAX_BYTES)
+    check_size(os.path.getsize(path), MAX_TABLE_BYTES)
     with open(path, encoding="utf-8-sig", newline="") as file:
-        first = file.readline()
-        while first.startswith("#"):  # comments, such as the first line of a log that armctl wrote
-            first = file.readline()
-        delimiter = max(",;\t", key=first.count)
-        header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+        header, delimiter = read_header(file)
         names = {quantity: _matching(quantity, wanted[quantity], header) for quantity in _QUANTITIES}
         if len(names["t"]) != 1:
             raise InputError(f"expected 1 column for t, found {len(names['t'])}")
@@ -121,7 +118,16 @@ def _read_table(path: os.PathLike[str], wanted: Mapping[str, str | list[str]]) -
             raise InputError(f"expected equal numbers of columns, found {counts}")
         order = [header.index(name) for quantity in _QUANTITIES for name in names[quantity]]
         rows = csv.reader(file, delimiter=delimiter)
-        return names, _numbers(rows, order, len(header))
+        return names, read_numbers(rows, order, len(header), _MIN_CSV_ROWS)
+
+
+def read_header(file: TextIO) -> tuple[list[str], str]:
+    """The names of the columns of a table, and what separates them."""
+    first = file.readline()
+    while first.startswith("#"):  # comments, such as the first line of a log that armctl wrote
+        first = file.readline()
+    delimiter = max(",;\t", key=first.count)
+    return [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])], delimiter
 
 
 def _matching(quantity: str, wanted: str | list[str], header: list[str]) -> list[str]:
@@ -143,7 +149,8 @@ def _matching(quantity: str, wanted: str | list[str], header: list[str]) -> list
     return found
 
 
-def _numbers(rows, order: list[int], width: int) -> Array:
+def read_numbers(rows: Iterable[list[str]], order: list[int], width: int, least: int) -> Array:
+    """Some columns of a table of so many, (T, k) finite numbers in at least so many rows. InputError for what is none."""
     table = []
     for line, row in enumerate(rows, start=2):
         if not row or (len(row) == 1 and not row[0].strip()):
@@ -155,8 +162,8 @@ def _numbers(rows, order: list[int], width: int) -> Array:
         except ValueError:
             text = next((row[k] for k in order if not _is_number(row[k])), "")
             raise InputError(f"line {line}: {text!r:.40} is not a number") from None
-    if len(table) < _MIN_CSV_ROWS:
-        raise InputError(f"expected at least {_MIN_CSV_ROWS} rows, found {len(table)}")
+    if len(table) < least:
+        raise InputError(f"expected at least {least} rows, found {len(table)}")
     out = np.array(table)
     bad = ~np.isfinite(out).all(axis=1)
     if bad.any():

@@ -20,6 +20,7 @@ from armctl.core.validation import Array, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.ik.all_solutions import solve_ik_all
 from armctl.plan.motion.checks import planning_arm
+from armctl.plan.motion.given_duration import read_duration
 from armctl.plan.motion.moving_start import planned_from
 from armctl.plan.motion.path.joint_path import JointPath, joint_path_along
 from armctl.plan.motion.path.path_segments import MIN_LENGTH, Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn
@@ -74,14 +75,16 @@ class PathOptions(TypedDict, total=False):
         speed: Fraction of the full speed, in (0, 1], also of the limits of the tip's speed; 1 if left out.
         tip_speed: m/s, the maximum speed of the tip; no limit if left out.
         tip_angular_speed: rad/s, the maximum angular speed of the tip; no limit if left out.
+        duration: s, how long it takes; as short as possible if left out.
     """
 
     speed: float
     tip_speed: float | None
     tip_angular_speed: float | None
+    duration: float | None
 
 
-PATH_DEFAULTS: dict[str, object] = {"speed": 1.0, "tip_speed": None, "tip_angular_speed": None}
+PATH_DEFAULTS: dict[str, object] = {"speed": 1.0, "tip_speed": None, "tip_angular_speed": None, "duration": None}
 
 
 @with_options(PathOptions, PATH_DEFAULTS)
@@ -97,12 +100,13 @@ def move_l(
         q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves; or the pose of the tip at the start:
             then the branch with the shortest motion is chosen.
         target: T_world_tip at the end, or (3,) m with the orientation left free.
-        **options: `speed`, `tip_speed` and `tip_angular_speed`, as in `PathOptions`.
+        **options: `speed`, `tip_speed`, `tip_angular_speed` and `duration`, as in `PathOptions`.
 
     Raises:
         InputError: An argument of the wrong shape, kind or value.
         LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
-        PlanError: The line leaves the reach or the joint limits, or a motor cannot hold the arm on it.
+        PlanError: The line leaves the reach or the joint limits, a motor cannot hold the arm on it, or the duration is
+            too short.
     """
     return _planned(arm, q_start, _Request("move_l", [Line(target)]), options)
 
@@ -125,12 +129,13 @@ def move_c(
         target: T_world_tip, or (3,) m with the orientation left free.
         angle: rad, the angle on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.
-        **options: `speed`, `tip_speed` and `tip_angular_speed`, as in `PathOptions`.
+        **options: `speed`, `tip_speed`, `tip_angular_speed` and `duration`, as in `PathOptions`.
 
     Raises:
         InputError: An argument of the wrong shape, kind or value, or three points on one line.
         LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
-        PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
+        PlanError: The path leaves the reach or the joint limits, a motor cannot hold the arm on it, or the duration is
+            too short.
     """
     return _planned(arm, q_start, _Request("move_c", [Arc(via, target, angle)]), options)
 
@@ -153,12 +158,13 @@ def move_path(
         q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves; or the pose of the tip at the start.
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
-        **options: `speed`, `tip_speed` and `tip_angular_speed`, as in `PathOptions`.
+        **options: `speed`, `tip_speed`, `tip_angular_speed` and `duration`, as in `PathOptions`.
 
     Raises:
         InputError: An argument of the wrong shape, kind or value.
         LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
-        PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
+        PlanError: The path leaves the reach or the joint limits, a motor cannot hold the arm on it, or the duration is
+            too short.
     """
     return _planned(arm, q_start, _Request("move_path", read_path(path), number("blend", blend, 0.0)), options)
 
@@ -184,7 +190,8 @@ class _Request(NamedTuple):
 def _planned(arm: Arm, q_start: Pose | Setpoint | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
     for name in options.keys() - PathOptions.__annotations__.keys():
         raise TypeError(f"{request.function}() got an unexpected keyword argument {name!r}")
-    return planned_from(arm, q_start, lambda start: _plan(arm, start, request, options))
+    seconds = read_duration(options.get("duration"))
+    return planned_from(arm, q_start, lambda start: _plan(arm, start, request, options), seconds)
 
 
 def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:

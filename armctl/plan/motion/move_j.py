@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, LimitError
+from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, flag
 from armctl.model.arm.arm import Arm
 from armctl.plan.motion.checks import goal_state, is_moving, limits_from, planning_arm, start_state
+from armctl.plan.motion.given_duration import SAME_DURATION, lasting, read_duration, require_long_enough
 from armctl.plan.motion.moving_start import stop_from
 from armctl.plan.motion.timing.otg import LONGER, JointState, ProfileSolver, solve_pieces
 from armctl.plan.motion.torque_limits import check_torque, slowed_relative_to, within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, piece_extremes
+from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, is_inside, piece_extremes
 from armctl.plan.motion.trajectory.piecewise import Pieces, standing
 
 # Shares of the limits of acceleration and jerk that are tried where a motor would saturate in a motion that starts moving: it
@@ -27,7 +29,13 @@ _MAX_OFF_LINE = 1e-6  # of the smallest limit of speed or acceleration
 
 
 def move_j(
-    arm: Arm, q_start: ArrayLike | Setpoint, q_goal: ArrayLike | Setpoint, *, speed: float = 1.0, straight: bool = True
+    arm: Arm,
+    q_start: ArrayLike | Setpoint,
+    q_goal: ArrayLike | Setpoint,
+    *,
+    speed: float = 1.0,
+    straight: bool = True,
+    duration: float | None = None,
 ) -> JointTrajectory:
     """The fastest jerk-limited motion from one joint position to another, at rest there or in motion.
 
@@ -44,44 +52,82 @@ def move_j(
         speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
         straight: Whether the path is a straight line in joint space. Otherwise each joint moves independently in the time
             that the slowest needs.
+        duration: s, how long it takes, as to be synchronized with a machine; as short as possible if left out.
 
     Raises:
         InputError: A wrong length, a number that is not finite, or a setpoint that leads off the line.
         LimitError: A start or goal outside the position limits, a goal outside the others, or one of both so fast that the
             motion would leave them.
-        PlanError: A motor cannot hold the arm at some point of the path, or saturates in every motion from a moving start.
+        PlanError: A motor cannot hold the arm at some point of the path, or saturates in every motion from a moving start; or
+            the duration is too short.
     """
     planning = planning_arm(arm, speed)
     start = start_state(planning, q_start)
-    goal = goal_state(planning, "q_goal", q_goal)
-    is_straight = flag("straight", straight)
+    move = _Move(arm, planning.limits, start, goal_state(planning, "q_goal", q_goal), flag("straight", straight))
+    seconds = read_duration(duration)
+    if move.moves:
+        return move.in_motion() if seconds is None else move.in_motion_lasting(seconds)
+    return lasting(arm, within_torque(arm, move.planned()), seconds)
 
-    def planned(share: float, shortest: float = 0.0) -> JointTrajectory:
-        gentle = replace(planning.limits, a_max=share * planning.limits.a_max, j_max=share * planning.limits.j_max)
-        pieces = _line(gentle, start, goal, shortest) if is_straight else _each_joint(gentle, start, goal, shortest)
-        return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
 
-    motion = planned(1.0)
-    if not (is_moving(start) or is_moving(goal)):
+class _Move(NamedTuple):
+    """A motion from one state to another: the limits are those at a fraction of the full speed."""
+
+    arm: Arm
+    limits: Limits
+    start: Setpoint
+    goal: Setpoint
+    is_straight: bool
+
+    @property
+    def moves(self) -> bool:
+        """Whether it starts or ends in motion."""
+        return is_moving(self.start) or is_moving(self.goal)
+
+    def planned(self, share: float = 1.0, shortest: float = 0.0) -> JointTrajectory:
+        """The fastest one that lasts at least so many seconds, with a share of the limits of acceleration and jerk."""
+        gentle = replace(self.limits, a_max=share * self.limits.a_max, j_max=share * self.limits.j_max)
+        pieces = (_line if self.is_straight else _each_joint)(gentle, self.start, self.goal, shortest)
+        return JointTrajectory(*pieces, self.arm.joint_names, self.arm.limits, units=self.arm.units)
+
+    def in_motion(self) -> JointTrajectory:
+        """The fastest one that starts or ends in motion. Raises LimitError or PlanError if there is none inside the limits."""
+        arm = self.arm
+        limits = limits_from(arm.limits, self.start)
+        motion = self.planned()
+        if is_moving(self.goal):
+            stop_from(arm, self.goal, "q_goal")
+            fastest = motion.duration
+            for factor in LONGER[1:]:
+                if is_inside(motion.pieces, limits):
+                    break
+                motion = self.planned(1.0, factor * fastest)
+        if not is_inside(motion.pieces, limits):
+            what = "q_goal" if is_moving(self.goal) else "q_start"
+            slower = "end slower" if is_moving(self.goal) else "start slower"
+            raise LimitError(f"{what}: {motion.check_limits(limits).violations[0]}; {slower}, or stop before")
+        if check_torque(arm, motion).ok:
+            return motion
+        for share in _GENTLER:
+            gentler = self.planned(share)
+            if is_inside(gentler.pieces, limits) and check_torque(arm, gentler).ok:
+                return slowed_relative_to(arm, gentler, motion)
         return within_torque(arm, motion)
-    limits = limits_from(arm.limits, start)
-    if is_moving(goal):
-        stop_from(arm, goal, "q_goal")
-        fastest = motion.duration
-        for factor in LONGER[1:]:
-            if motion.check_limits(limits).ok:
-                break
-            motion = planned(1.0, factor * fastest)
-    if not (check := motion.check_limits(limits)).ok:
-        what = "q_goal" if is_moving(goal) else "q_start"
-        raise LimitError(f"{what}: {check.violations[0]}; {'end' if is_moving(goal) else 'start'} slower, or stop before")
-    if check_torque(arm, motion).ok:
+
+    def in_motion_lasting(self, duration: float) -> JointTrajectory:
+        """The one that starts or ends in motion and lasts so many seconds. Raises LimitError or PlanError if there is none."""
+        require_long_enough(self.in_motion().duration, duration)
+        motion = self.planned(1.0, duration)
+        if motion.duration > duration * (1 + SAME_DURATION):
+            raise PlanError(
+                f"duration: no motion between these states in motion takes {duration:g} s, the next longer one takes "
+                f"{motion.duration:.6g} s; give this time, or leave it out"
+            )
+        if not (check := motion.check_limits(limits_from(self.arm.limits, self.start))).ok:
+            raise PlanError(f"duration: in {duration:g} s, {check.violations[0]}; give less time, or leave it out")
+        if not (torque := check_torque(self.arm, motion)).ok:
+            raise PlanError(f"duration: in {duration:g} s, {torque}; give another time, or leave it out")
         return motion
-    for share in _GENTLER:
-        gentler = planned(share)
-        if gentler.check_limits(limits).ok and check_torque(arm, gentler).ok:
-            return slowed_relative_to(arm, gentler, motion)
-    return within_torque(arm, motion)
 
 
 def _each_joint(limits: Limits, start: Setpoint, goal: Setpoint, shortest: float) -> Pieces:

@@ -12,6 +12,7 @@ import numpy as np
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, instance, number
 from armctl.model.arm.arm import Arm, check_arm
+from armctl.plan.motion.given_duration import lasting, read_duration
 from armctl.plan.motion.timing.path_timing import slowed_down
 from armctl.plan.motion.torque_limits import MotionPath, within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
@@ -23,7 +24,9 @@ _SAMPLES = 200  # of half a motion, between which the corner's begin is looked f
 _MIN_OVERLAP_S = 1e-3
 
 
-def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float = 0.0) -> JointTrajectory:
+def move_sequence(
+    arm: Arm, motions: Sequence[JointTrajectory], *, blend: float = 0.0, duration: float | None = None
+) -> JointTrajectory:
     """Motions of any kind one after another, the corners between them rounded.
 
     A motion begins while the one before it still comes to rest, and both are added up in joint space. The path leaves that of
@@ -34,13 +37,15 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
     Args:
         motions: Motions of its joints, each from rest where the one before it ends.
         blend: m, the radius around each corner; 0 stops there.
+        duration: s, how long all of them take together; as short as possible if left out.
 
     Raises:
         InputError: An argument of the wrong kind or value, or a motion that does not start where the one before it ends, or
             does not rest there.
-        PlanError: A motor cannot hold the arm in a corner, however slowly it moves.
+        PlanError: A motor cannot hold the arm in a corner, however slowly it moves, or the duration is too short.
     """
     check_arm(arm)
+    seconds = read_duration(duration)
     radius = number("blend", blend, 0.0)
     parts = list(motions) if isinstance(motions, Sequence) else []
     if not parts:
@@ -54,7 +59,7 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
         if max(np.abs(before(before.duration).v).max(), np.abs(after(0.0).v).max()) > REST_SPEED:
             raise InputError(f"motions: the arm does not rest between motions {k} and {k + 1}, so there is no corner to round")
     if radius == 0.0:
-        return plain
+        return _lasting(arm, plain, seconds)
     pieces = parts[0].pieces
     for before, after in pairwise(parts):
         pieces = _rounded(arm, pieces, after.pieces, min(_ramp(arm, before, radius, True), _ramp(arm, after, radius, False)))
@@ -63,7 +68,14 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
         slower = slowed_down(MotionPath(whole), arm.limits, pieces.knots, None)
         whole = replace(whole, knots=slower.knots, coefficients=joints_of(slower).coefficients)
     rounded = within_torque(arm, whole)
-    return rounded if rounded.duration < plain.duration else plain
+    return _lasting(arm, rounded if rounded.duration < plain.duration else plain, seconds)
+
+
+def _lasting(arm: Arm, motion: JointTrajectory, duration: float | None) -> JointTrajectory:
+    """A sequence that lasts so many seconds: one that starts or ends in motion cannot be slowed down as a whole."""
+    if duration is not None and max(np.abs(motion(t).v).max() for t in (0.0, motion.duration)) > REST_SPEED:
+        raise InputError("duration: the sequence starts or ends in motion, whose speed is given; leave the duration out")
+    return lasting(arm, motion, duration)
 
 
 def _ramp(arm: Arm, motion: JointTrajectory, radius: float, at_end: bool) -> float:

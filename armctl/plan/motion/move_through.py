@@ -16,6 +16,7 @@ from armctl.core.validation import Array, matrix, vector
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.moving_joints import MovingJoints
 from armctl.plan.motion.checks import planning_arm
+from armctl.plan.motion.given_duration import SAME_DURATION, lasting, read_duration
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.sections import Via, is_limited, pause, within_sections
 from armctl.plan.motion.timing.otg import slowed_to_bounds, straight_rest_to_rest
@@ -26,12 +27,13 @@ from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, join
 from armctl.plan.motion.trajectory.limit_check import is_inside
 from armctl.plan.motion.trajectory.piecewise import standing
 
-_SAME_DURATION = 1e-9  # relative
 _SAME_WAYPOINT = 1e-9  # rad (m); closer waypoints count as one
 _TOO_CLOSE = "move_through: rounding takes every motion through these waypoints outside the limits; place them farther apart"
 
 
-def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, speed: float = 1.0) -> JointTrajectory:
+def move_through(
+    arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, speed: float = 1.0, duration: float | None = None
+) -> JointTrajectory:
     """The motion through every waypoint without stopping, at rest at the first and the last.
 
     Between waypoints each joint moves independently, jerk-limited and inside its position limits; the velocities and
@@ -45,13 +47,15 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
         waypoints: (k, n) rad, at least two, each inside the limits; the first is the start. A `Via` instead of a row
             also contains speed, acceleration and payload of the section that ends at it, and a pause.
         speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
+        duration: s, how long it takes with its pauses, which last longer in proportion; as short as possible if left out.
 
     Raises:
         InputError: A wrong shape, a number that is not finite, or an arm without finite limits.
         LimitError: A position outside the limits.
-        PlanError: A motor cannot hold the arm at some point of the path.
+        PlanError: A motor cannot hold the arm at some point of the path, or the duration is too short.
     """
     planning = planning_arm(arm, speed)
+    seconds = read_duration(duration)
     vias = _vias(arm, waypoints)
     motions: list[JointTrajectory] = []
     begin = 0
@@ -61,7 +65,7 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
             if vias[k].dwell:
                 motions.append(pause(arm, np.asarray(vias[k].q), vias[k].dwell))
             begin = k
-    return joined(motions)
+    return lasting(arm, joined(motions), seconds)
 
 
 def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Via]:
@@ -96,7 +100,7 @@ def _flowing(arm: Arm, limits: Limits, vias: Sequence[Via], speed: float) -> Joi
         motion = within_torque(arm, free)
     except PlanError:
         return slowed_relative_to(arm, _stopping_at_each(arm, lines, speed), free)
-    if motion is not free and motion.duration > (1 + _SAME_DURATION) * _least_stopping_time(lines, limits):
+    if motion is not free and motion.duration > (1 + SAME_DURATION) * _least_stopping_time(lines, limits):
         # Torque limits can slow the flowing motion down more than one that stops.
         motion = min(motion, _stopping_at_each(arm, lines, speed), key=lambda each: each.duration)
     return motion if motion is free else slowed_relative_to(arm, motion, free)

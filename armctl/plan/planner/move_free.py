@@ -36,9 +36,10 @@ from armctl.model.mjmodel.queries import object_id
 from armctl.plan.ik.resting_joints import Mask, RestingJoints, resting_joints
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
+from armctl.plan.motion.given_duration import lasting, read_duration
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.move_through import through_waypoints
-from armctl.plan.motion.moving_start import begun_moving, stop_from
+from armctl.plan.motion.moving_start import begun_moving, begun_moving_lasting, stop_from
 from armctl.plan.motion.torque_limits import within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 
@@ -199,6 +200,7 @@ def move_free(
     keep: str | None = None,
     keep_within: float = KEEP_WITHIN_RAD,
     speed: float = 1.0,
+    duration: float | None = None,
     seed: int = 0,
 ) -> JointTrajectory:
     """A motion around obstacles, at rest at its end: jerk-limited, torque-limited, and proved to touch nothing.
@@ -223,25 +225,27 @@ def move_free(
             too.
         keep_within: rad that this axis may tilt.
         speed: Fraction of the full speed, in (0, 1].
+        duration: s, how long it takes; as short as possible if left out.
         seed: Of the random samples.
 
     Raises:
         InputError: An argument of the wrong kind, a negative clearance, or an arm without finite limits.
         LimitError: A configuration outside the limits, or a start so fast that the arm cannot stop inside them.
         ModelError: The scene has a height field or signed distance field that the arm could touch.
-        PlanError: Start or goal touches something, the goal cannot be reached, no path was found, or the arm cannot stop before
-            something that it moves towards; the reason names the bodies.
+        PlanError: Start or goal touches something, the goal cannot be reached, no path was found, the arm cannot stop before
+            something that it moves towards, or the duration is too short; the reason names the bodies.
         UnknownNameError: The model has no body or geom of a name in `allow` or `holding`, or there is no such axis.
     """
     check_arm(arm)
     state = start_state(arm, q_start)
+    seconds = read_duration(duration)
     start = state.q
     kept = read_kept_axis(arm, keep, keep_within, start)
     checker = _checker(arm, start, allow, holding)
     space = FreeSpace(checker, number("clearance", clearance, 0.0), kept)
     stop = stop_from(planning_arm(arm, 1.0), state)
     if stop is None:
-        return move_free_with(space, arm, start, goal, speed=speed, seed=seed)
+        return lasting(arm, move_free_with(space, arm, start, goal, speed=speed, seed=seed), seconds)
     checker.require_provable()
     free = clearance_of(checker, stop, 0.0, kept)
     if not free.ok:
@@ -250,7 +254,9 @@ def move_free(
     motion = move_free_with(space, arm, rest, goal, speed=speed, seed=seed)
     ends = [checker.nearest(q)[1] for q in (start, rest, motion(motion.duration).q)]
     space = space._replace(clearance=min(0.5 * clearance, 0.25 * min(ends), 0.5 * free.distance))
-    return begun_moving(arm, stop, motion, lambda whole: space.motion_hit(whole) is None)
+    if seconds is None:
+        return begun_moving(arm, stop, motion, lambda whole: space.motion_hit(whole) is None)
+    return begun_moving_lasting(arm, stop, motion, seconds, lambda whole: space.motion_hit(whole) is None)
 
 
 def move_free_with(

@@ -24,12 +24,13 @@ from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
 from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.plan.ik.tree_problem import read_tasks
+from armctl.plan.motion.given_duration import read_duration
 from armctl.plan.motion.move_cartesian import PATH_DEFAULTS, Arc, Line, PathOptions, move_c, move_l, move_path, read_path
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.move_free import FreeSpace
-from armctl.run.execution.move import ControlledArms, PlannedMove, plan_by_tip, plan_free, plan_move, plan_to
+from armctl.run.execution.move import ControlledArms, PlannedMove, plan_by_tip, plan_free, plan_lasting, plan_move, plan_to
 from armctl.run.execution.obstacles import Obstacles
 
 if TYPE_CHECKING:
@@ -135,6 +136,7 @@ class Commands:
         allow: Iterable[tuple[str, str]] = (),
         keep: str | None = None,
         keep_within: float = KEEP_WITHIN_RAD,
+        duration: float | None = None,
     ) -> MoveResult:
         """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
 
@@ -147,6 +149,7 @@ class Commands:
             allow: Pairs of names of bodies or geoms that may touch.
             keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; needs `avoid`.
             keep_within: rad that this axis may tilt.
+            duration: s, how long the motion takes; as short as possible if left out.
 
         Returns:
             The result. No error is raised if the target cannot be reached: `ok` is False, and `reason` gives the reason.
@@ -156,7 +159,7 @@ class Commands:
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         if isinstance(target, Mapping):
-            return self._move_by_tip(target, speed, avoid, allow, keep)
+            return self._move_by_tip(target, speed, avoid, allow, keep, read_duration(duration))
         check_one_tip(self.arm)
         goal = Target.read(target)
         checker = self._checker(avoid, allow)
@@ -164,10 +167,17 @@ class Commands:
         if kept is not None and checker is None:
             raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
         space = None if checker is None else FreeSpace(checker, keep=kept)
-        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed, space))
+        plan = partial(plan_to, self.arm, goal, self._start, speed, space)
+        return self._move(goal, partial(plan_lasting, self.arm, plan, read_duration(duration)))
 
     def move_j(
-        self, q: ArrayLike, *, speed: float = 1.0, avoid: bool = True, allow: Iterable[tuple[str, str]] = ()
+        self,
+        q: ArrayLike,
+        *,
+        speed: float = 1.0,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
+        duration: float | None = None,
     ) -> MoveResult:
         """Moves the joints to a configuration, on a straight line in joint space.
 
@@ -176,9 +186,10 @@ class Commands:
             speed: Fraction of the full speed, in (0, 1].
             avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight.
             allow: Pairs of names of bodies or geoms that may touch.
+            duration: s, how long the motion takes; as short as possible if left out.
 
         Returns:
-            The result, measured at the tip.
+            The result, measured at the tip. A duration that is too short is not started, and `reason` says the shortest.
 
         Raises:
             LimitError: A position outside the limits.
@@ -194,7 +205,7 @@ class Commands:
                 return plan_free(self.arm, goal, self._start, configuration, speed, FreeSpace(checker))
             return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, configuration, speed=speed))
 
-        return self._move(goal, plan)
+        return self._move(goal, partial(plan_lasting, self.arm, plan, read_duration(duration)))
 
     @_shows_options
     def move_l(self, target: TargetLike, **options: Unpack[PathMoveOptions]) -> MoveResult:
@@ -202,7 +213,7 @@ class Commands:
 
         Args:
             target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
-            **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
+            **options: `speed`, `tip_speed`, `tip_angular_speed`, `duration`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Returns:
             The result. A line that leaves the workspace or the limits, or touches something, is not started, and `reason` says
@@ -226,7 +237,7 @@ class Commands:
             via: T_world_tip or (3,) m, a point on the arc.
             target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
             angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
-            **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
+            **options: `speed`, `tip_speed`, `tip_angular_speed`, `duration`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Raises:
             InputError: An argument of a wrong shape or out of its bounds, or the points are on one line.
@@ -247,7 +258,7 @@ class Commands:
         Args:
             path: Lines and arcs; a pose or a point is a line to it.
             blend: m, the radius around each corner in which it is rounded.
-            **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
+            **options: `speed`, `tip_speed`, `tip_angular_speed`, `duration`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Raises:
             InputError: An argument of a wrong shape or out of its bounds, or the path is empty.
@@ -330,7 +341,13 @@ class Commands:
         return self._arms.start(self.arm.tip)
 
     def _move_by_tip(
-        self, targets: TipTargets, speed: float, avoid: bool, allow: Iterable[tuple[str, str]], keep: str | None
+        self,
+        targets: TipTargets,
+        speed: float,
+        avoid: bool,
+        allow: Iterable[tuple[str, str]],
+        keep: str | None,
+        duration: float | None,
     ) -> MoveResult:
         if keep is not None:
             raise InputError("keep: it is for a single target; give the tips poses")
@@ -338,7 +355,7 @@ class Commands:
         checker = self._checker(avoid, allow)
         space = None if checker is None else FreeSpace(checker)
         goal = Target.read(self.tip)
-        plan = partial(plan_by_tip, self.arm, targets, self._start, speed, space)
+        plan = partial(plan_lasting, self.arm, partial(plan_by_tip, self.arm, targets, self._start, speed, space), duration)
         return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)})[self.arm.tip]
 
     def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:

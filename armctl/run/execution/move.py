@@ -28,6 +28,7 @@ from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.clearance import clearance_of
 from armctl.plan.ik.resting_joints import resting_joints
 from armctl.plan.ik.solve import solve_ik
+from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.planner.move_free import FreeSpace, move_free_with
@@ -77,6 +78,17 @@ def plan_move(
     if not ends_at_target:
         target = Target.read(arm.fk(trajectory(trajectory.duration).q))
     return replace(move, target=target, trajectory=trajectory)
+
+
+def plan_lasting(arm: Arm, plan: Callable[[], PlannedMove], duration: float | None) -> PlannedMove:
+    """A planned move that takes a given duration, s, on the same path; one that is too short becomes a refusal."""
+    move = plan()
+    if duration is None or not isinstance(move.trajectory, JointTrajectory):
+        return move
+    try:
+        return replace(move, trajectory=lasting(arm, move.trajectory, duration))
+    except PlanError as error:
+        return replace(move, trajectory=None, refusal=str(error))
 
 
 def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeSpace | None = None) -> PlannedMove:

@@ -126,16 +126,17 @@ def _length_of(pieces: Pieces) -> float:
     return float(basis_many(np.diff(pieces.knots[-2:]))[0, 0] @ pieces.coefficients[-1, :, -1])
 
 
-def time_optimal(path: Path, limits: Limits, caps: Caps | None = None, knots: Array | None = None) -> Pieces:
+def time_optimal(path: Path, limits: Limits, caps: Caps | None = None, knots: Array | None = None, fineness: int = 1) -> Pieces:
     """The time-optimal motion along a path, from rest to rest; its last column is the length. Positions are not limited.
 
-    At `knots` (k,), lengths, its third derivative may jump, and the motion is exactly on the path.
+    At `knots` (k,), lengths, its third derivative may jump, and the motion is exactly on the path. `fineness` times as many
+    intervals cost as much more time, and gain up to 4 % where an acceleration may jump within 4 ms.
     """
     inner = np.empty(0) if knots is None else knots[1:-1]
     problem = _TimingProblem(path, limits, caps)
     timing = initial_timing(path, limits)
     timed = problem.timed(problem.sampled(_Places.from_timing(timing, _merged(timing.edges, timing.times_at(inner)))))
-    refined = _refined(timed, intervals_for(timed.t[-1]))
+    refined = _refined(timed, intervals_for(timed.t[-1], fineness))
     return _tightened(problem, refined, refined.times_at(inner))
 
 
@@ -152,9 +153,9 @@ def slowed_down(
     return _tightened(_TimingProblem(path, limits, caps, torques), Timing(path.length / intervals, intervals, None), knots)
 
 
-def intervals_for(duration: float) -> int:
-    """How many intervals a motion of a duration in s is cut into."""
-    return max(_MIN_INTERVALS, min(_MAX_INTERVALS, math.ceil(duration / _INTERVAL_S)))
+def intervals_for(duration: float, fineness: int = 1) -> int:
+    """How many intervals a motion of a duration in s is cut into, times a fineness."""
+    return fineness * max(_MIN_INTERVALS, min(_MAX_INTERVALS, math.ceil(duration / _INTERVAL_S)))
 
 
 def _tightened(problem: _TimingProblem, timing: Timing, knots: Array) -> Pieces:

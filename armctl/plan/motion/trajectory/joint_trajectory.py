@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.core.atomic import file_path
 from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
@@ -274,6 +275,37 @@ class JointTrajectory:
         """
         times = self._table_times(dt)
         return files.save_table(path, self.joint_names, times, JointSamples(*self.sample(times)[:3]))
+
+    @staticmethod
+    def from_csv(path: str | os.PathLike[str], arm: Arm, *, speed: float = 1.0) -> JointTrajectory:
+        """Reads a motion that `to_csv` wrote, a log as CSV, or a recording, which then plays as it was recorded.
+
+        The motion passes through all rows with their velocities and accelerations, if there are any, and otherwise along a
+        cubic spline that starts and ends at rest. Accelerations and jerks are not limited, since noise makes them:
+        `check_limits` shows them, and `time_path` makes a motion within all limits on the same path.
+
+        Args:
+            path: The file: a column `t`, s, and for each joint `q_<joint>`, `q/<joint>`, or `<joint>`, in rad (m); if there
+                are, `v_<joint>` and `a_<joint>`, or with `/`. Other columns are ignored.
+            arm: The arm; the order of its joints in the file is arbitrary.
+            speed: Factor on the speed at which it plays; 0.5 takes twice as long.
+
+        Raises:
+            InputError: The file cannot be read, or lacks a column, or its times do not increase.
+            LimitError: A row is outside the position limits, or at this speed outside those of the velocity.
+        """
+        check_arm(arm)
+        factor = number("speed", speed, 1e-3, 1e3)
+        from armctl.plan.motion.trajectory import recorded, ros
+
+        points = recorded.read_waypoints(file_path("path", path, (".csv", ".txt", ".tsv")), arm.joint_names)
+        arm.check_units("path: positions", points.q, "a motion has rad and m")
+        pieces = ros.pieces(points)
+        speeds = piecewise.sample(pieces, pieces.knots).v
+        recorded.check_recorded(points, speeds, arm.limits, arm.units, factor)
+        if factor != 1.0:
+            pieces = piecewise.time_scaled(pieces, factor)
+        return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
 
     def to_ros(self, path: str | os.PathLike[str], dt: float = 0.01) -> Path:
         """Writes samples as a ROS message of type trajectory_msgs/JointTrajectory, with velocities and accelerations.

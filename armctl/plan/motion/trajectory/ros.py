@@ -229,11 +229,12 @@ def pieces(points: Waypoints) -> Pieces:
 
         spline = CubicSpline(points.times, points.q, bc_type="clamped")
         return hermite(points.times, points.q, spline(points.times, 1), spline(points.times, 2))
-    a = _accelerations(points.times, points.q, v) if points.a is None else points.a
+    a = accelerations_at(points.times, points.q, v) if points.a is None else points.a
     return hermite(points.times, points.q, v, a)
 
 
-def _accelerations(t: Array, q: Array, v: Array) -> Array:
+def accelerations_at(t: Array, q: Array, v: Array) -> Array:
+    """(T, n) accelerations of a motion with positions and velocities (T, n) at times (T,): the mean of both cubics."""
     h = np.diff(t)[:, None]
     slope = np.diff(q, axis=0) / h
     at_start = (6 * slope - 4 * v[:-1] - 2 * v[1:]) / h  # of the cubic Hermite polynomial
