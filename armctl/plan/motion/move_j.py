@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, flag
+from armctl.core.validation import Array, choice, flag
 from armctl.model.arm.arm import Arm
 from armctl.plan.motion.checks import goal_state, is_moving, limits_from, planning_arm, start_state
 from armctl.plan.motion.given_duration import SAME_DURATION, lasting, read_duration, require_long_enough
 from armctl.plan.motion.moving_start import stop_from
 from armctl.plan.motion.timing.otg import LONGER, JointState, ProfileSolver, solve_pieces
-from armctl.plan.motion.torque_limits import check_torque, slowed_relative_to, within_torque
+from armctl.plan.motion.timing.teaching_profiles import quintic, trapezoid
+from armctl.plan.motion.torque_limits import MAX_STRETCHES, check_torque, slowed_relative_to, stretch_for, within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, is_inside, piece_extremes
 from armctl.plan.motion.trajectory.piecewise import Pieces, standing
@@ -25,6 +26,7 @@ from armctl.plan.motion.trajectory.piecewise import Pieces, standing
 # Shares of the limits of acceleration and jerk that are tried where a motor would saturate in a motion that starts moving: it
 # cannot be slowed down on its path, since its first speed is given.
 _GENTLER = (0.5, 0.25)
+_PROFILES = {"trapezoid": trapezoid, "quintic": quintic}
 _MAX_OFF_LINE = 1e-6  # of the smallest limit of speed or acceleration
 
 
@@ -36,6 +38,7 @@ def move_j(
     speed: float = 1.0,
     straight: bool = True,
     duration: float | None = None,
+    profile: str = "jerk-limited",
 ) -> JointTrajectory:
     """The fastest jerk-limited motion from one joint position to another, at rest there or in motion.
 
@@ -53,6 +56,8 @@ def move_j(
         straight: Whether the path is a straight line in joint space. Otherwise each joint moves independently in the time
             that the slowest needs.
         duration: s, how long it takes, as to be synchronized with a machine; as short as possible if left out.
+        profile: Of the speed along a line from rest to rest: "jerk-limited", or for comparison the "trapezoid" or the "quintic"
+            polynomial of textbooks, whose jerk has no limit: `check_limits` shows by how much it is exceeded.
 
     Raises:
         InputError: A wrong length, a number that is not finite, or a setpoint that leads off the line.
@@ -65,6 +70,8 @@ def move_j(
     start = start_state(planning, q_start)
     move = _Move(arm, planning.limits, start, goal_state(planning, "q_goal", q_goal), flag("straight", straight))
     seconds = read_duration(duration)
+    if choice("profile", profile, ("jerk-limited", *_PROFILES)) != "jerk-limited":
+        return lasting(arm, move.of_textbooks(profile), seconds)
     if move.moves:
         return move.in_motion() if seconds is None else move.in_motion_lasting(seconds)
     return lasting(arm, within_torque(arm, move.planned()), seconds)
@@ -89,6 +96,21 @@ class _Move(NamedTuple):
         gentle = replace(self.limits, a_max=share * self.limits.a_max, j_max=share * self.limits.j_max)
         pieces = (_line if self.is_straight else _each_joint)(gentle, self.start, self.goal, shortest)
         return JointTrajectory(*pieces, self.arm.joint_names, self.arm.limits, units=self.arm.units)
+
+    def of_textbooks(self, profile: str) -> JointTrajectory:
+        """One from rest to rest whose jerk is not limited, slowed down as a whole where a motor would saturate."""
+        if self.moves or not self.is_straight:
+            raise InputError(f"profile: {profile!r} is for straight moves from rest to rest; leave it out for others")
+        arm = self.arm
+        pieces = _PROFILES[profile](self.start.q, self.goal.q, (self.limits.v_max, self.limits.a_max, self.limits.j_max))
+        free = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
+        motion = free
+        for _ in range(MAX_STRETCHES):
+            check = check_torque(arm, motion)
+            if check.ok:
+                return slowed_relative_to(arm, motion, free)
+            motion = motion.scaled(1 / stretch_for(check.ratio))
+        raise PlanError(f"{check_torque(arm, motion)}, however slowly the arm moves; take a lighter payload or another path")
 
     def in_motion(self) -> JointTrajectory:
         """The fastest one that starts or ends in motion. Raises LimitError or PlanError if there is none inside the limits."""

@@ -10,13 +10,16 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import LimitError, PlanError
 from armctl.core.other_names import with_hints
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array, number, vector
 from armctl.model.arm.arm import Arm
 from armctl.plan.motion.checks import goal_state, planning_arm, start_state
 from armctl.plan.motion.timing.otg import JointState, Profile, ProfileSolver
-from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE
+from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE
 from armctl.plan.motion.trajectory.path_stop import remaining
 from armctl.plan.motion.trajectory.piecewise import Pieces, joined, standing
+
+_STANDING = 1e-9  # of the velocity limit: a joint that is asked for less stands still
+_FAR_S = 3600.0  # a joint without position limits stops after an hour at its velocity
 
 
 class OnlineMotion:
@@ -40,6 +43,7 @@ class OnlineMotion:
                 "target_velocity": "motion.go_to(armctl.Setpoint(q, v, a))",
                 "target_acceleration": "motion.go_to(armctl.Setpoint(q, v, a))",
                 "current_position": "motion.setpoint.q",
+                "control_interface": "motion.go_at(v) for velocity control",
                 "update": "motion.step(dt)",
             }
         )
@@ -124,6 +128,67 @@ class OnlineMotion:
         raise PlanError(
             "go_to: no motion inside the limits leads to the goal from this state; the arm stops, call go_to again at rest"
         )
+
+    def go_at(self, v: ArrayLike) -> None:
+        """Moves at a velocity, which all joints reach at the same time, as soon as the limits allow: velocity control.
+
+        A joint goes on at its velocity up to its position limit, where it comes to rest. Where a joint is so near to its
+        limit that it cannot reach its velocity, each joint comes to its own as soon as it can. A `Stream` has the same for the
+        tip, `push_twist`, and stops if nobody renews it.
+
+        Args:
+            v: (n,) rad/s, inside the limits.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite; the motion does not change.
+            LimitError: A velocity beyond its limit; the motion does not change.
+            PlanError: No such motion was found; the motion stops instead.
+        """
+        wanted = vector("v", v, self._arm.n)
+        limits = self._arm.limits
+        i = int((np.abs(wanted) / limits.v_max).argmax())
+        if abs(wanted[i]) > limits.v_max[i] * (1 + RATIO_TOLERANCE):
+            raise LimitError(
+                f"v: {self._arm.joint_names[i]}: {wanted[i]:g} {self._arm.units[i]}/s is beyond its limit, "
+                f"{limits.v_max[i]:g} {self._arm.units[i]}/s; give less"
+            )
+        start = self._state(self._t)
+        reached = self._solver.to_velocity(start, wanted.tolist())
+        self._start = start
+        self._goal = None
+        if reached is not None and self._is_inside(reached):
+            # Without rounding, which would let ruckig brake for a velocity above what it is asked for.
+            cruising = self._cruise(JointState(reached.at(reached.duration)[0], wanted.tolist(), [0.0] * len(wanted)), wanted)
+            if cruising is not None and self._is_inside(cruising):
+                self._profile = reached
+                self._afterwards = cruising
+                self._t = 0.0
+                return
+        cruising = self._cruise(start, wanted)
+        if cruising is None or not self._is_inside(cruising):
+            self._brake()
+            raise PlanError(
+                "go_at: no motion at this velocity inside the limits was found; the arm stops, call go_at again at rest"
+            )
+        self._profile = cruising
+        self._afterwards = None
+        self._t = 0.0
+
+    def _cruise(self, start: JointState, v: Array) -> Profile | None:
+        """The profile of each joint at its velocity to its position limit, or where it stops if its velocity is zero."""
+        limits = self._arm.limits
+        q = np.array(start.q)
+        stop = self._solver.stop(start)
+        if stop is None:
+            return None
+        is_still = np.abs(v) <= _STANDING * limits.v_max
+        ends = np.where(v > 0.0, np.minimum(limits.q_max, q + v * _FAR_S), np.maximum(limits.q_min, q + v * _FAR_S))
+        goal = np.where(is_still, stop.at(stop.duration)[0], ends)
+        speeds = np.where(is_still, limits.v_max, np.minimum(np.abs(v), limits.v_max))
+        return self._solver.cruise(start, goal.tolist(), speeds.tolist())
+
+    def _is_inside(self, profile: Profile) -> bool:
+        return profile.stays_inside(self._q_min_loose, self._q_max_loose)
 
     def stop(self) -> None:
         """Stops as soon as the limits allow."""

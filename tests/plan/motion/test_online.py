@@ -1,7 +1,10 @@
 """Online motion: a new goal at any tick, every limit kept, and a stop at any time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import ruckig
 from arms import arm_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -102,3 +105,107 @@ def test_a_goal_in_numbers_and_one_in_an_array_are_the_same():
         motion.go_to(goal)
         ends.append(motion.step(0.1).q)
     assert np.array_equal(*ends)
+
+
+# Velocity control
+
+
+def velocity_time_of_ruckig(arm, start: armctl.Setpoint, v: np.ndarray) -> float:
+    """s, that ruckig's own velocity interface needs."""
+    problem = ruckig.InputParameter(arm.n)
+    problem.control_interface = ruckig.ControlInterface.Velocity
+    problem.current_position, problem.current_velocity, problem.current_acceleration = (x.tolist() for x in start[:3])
+    problem.target_velocity = v.tolist()
+    problem.max_acceleration = arm.limits.a_max.tolist()
+    problem.max_jerk = arm.limits.j_max.tolist()
+    motion = ruckig.Trajectory(arm.n)
+    ruckig.Ruckig(arm.n).calculate(problem, motion)
+    return motion.duration
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_velocity_is_reached_as_fast_as_possible_and_kept(seed):
+    arm = arm_of("redundant")
+    rng = np.random.default_rng(seed)
+    motion = armctl.OnlineMotion(arm, 0.5 * (arm.limits.q_min + arm.limits.q_max))
+    samples = []
+    for _ in range(3):  # each new velocity from the middle of reaching the one before
+        v = 0.3 * rng.uniform(-1, 1, arm.n) * arm.limits.v_max
+        now = motion.setpoint
+        needed = velocity_time_of_ruckig(arm, now, v)
+        motion.go_at(v)
+        samples += run(motion, max(1, int(0.7 * needed / DT)))
+    motion.go_at(v)
+    needed = velocity_time_of_ruckig(arm, motion.setpoint, v)
+    before = motion.step(0.95 * needed)
+    assert not np.allclose(before.v, v, rtol=0.0, atol=1e-5)
+    for _ in range(20):
+        point = motion.step(0.06 * needed)
+        assert np.allclose(point.v, v, atol=1e-7)
+        assert np.allclose(point.a, 0.0, atol=1e-6)
+    assert_inside(arm, samples)
+
+
+def test_a_joint_at_a_velocity_comes_to_rest_at_its_position_limit():
+    arm = arm_of("redundant")
+    motion = armctl.OnlineMotion(arm, arm.home)
+    v = 0.5 * arm.limits.v_max * np.where(np.arange(arm.n) % 2, 1.0, -1.0)
+    v[2] = 0.0
+    motion.go_at(v)
+    samples = run(motion, int(motion.time_left / DT) + 2)
+    assert_inside(arm, samples)
+    assert motion.goal is None
+    end = motion.setpoint
+    assert np.abs(end.v).max() < 1e-9
+    expected = np.where(v > 0, arm.limits.q_max, np.where(v < 0, arm.limits.q_min, arm.home))
+    assert np.allclose(end.q, expected, atol=1e-8)
+    motion.go_at(v)  # into the limits, where the arm is already
+    assert np.allclose(motion.step(0.1).q, expected, atol=1e-8)
+    motion.go_at(-v)
+    assert np.allclose(motion.step(0.5).v, -v, atol=1e-7)
+    whole = armctl.JointTrajectory(*motion.pieces, arm.joint_names, arm.limits)
+    assert whole.check_limits().ok
+    assert whole.duration == pytest.approx(motion.time_left)
+
+
+def test_a_velocity_that_a_joint_cannot_reach_before_its_limit_keeps_all_limits():
+    arm = arm_of("redundant")
+    near = np.array(arm.home)
+    near[0] = arm.limits.q_max[0] - 1e-3
+    motion = armctl.OnlineMotion(arm, near)
+    v = 0.4 * arm.limits.v_max
+    motion.go_at(v)
+    samples = run(motion, 300)
+    assert_inside(arm, samples)
+    assert samples[-1][0][0] == pytest.approx(arm.limits.q_max[0], abs=1e-8)
+    assert np.allclose(samples[-1][1][1:], v[1:], atol=1e-7)
+
+
+def test_velocities_beyond_the_limits_are_refused_and_change_nothing():
+    arm = arm_of("robot_arm_3dof")
+    motion = armctl.OnlineMotion(arm, arm.home)
+    with pytest.raises(armctl.LimitError, match=r"v: .* is beyond its limit"):
+        motion.go_at(1.1 * arm.limits.v_max)
+    with pytest.raises(armctl.InputError, match="v: expected 3 numbers"):
+        motion.go_at([0.1])
+    assert motion.time_left == 0.0
+
+
+def test_a_motion_brakes_into_limits_that_are_lowered_on_the_way():
+    """As when a person comes near: another motion with the lower limits goes on from the setpoint, and brakes first."""
+    arm = arm_of("redundant")
+    motion = armctl.OnlineMotion(arm, arm.home)
+    v = 0.6 * arm.limits.v_max
+    motion.go_at(v)
+    motion.step(0.4)
+    assert np.allclose(motion.setpoint.v, v, atol=1e-7)
+    lower = replace(arm.limits, v_max=0.25 * arm.limits.v_max)
+    slow = armctl.OnlineMotion(arm.with_limits(lower), motion.setpoint)
+    slow.go_at(lower.v_max)
+    samples = run(slow, 400)
+    assert_inside(arm, samples)
+    speeds = np.abs(np.array([point[1] for point in samples]))
+    braked = velocity_time_of_ruckig(arm, motion.setpoint, lower.v_max)
+    late = speeds[int(1.5 * braked / DT) + 1 :]
+    assert (late <= lower.v_max * (1 + 1e-6)).all()
+    assert np.allclose(samples[-1][1], lower.v_max, atol=1e-7)

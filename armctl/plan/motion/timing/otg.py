@@ -187,15 +187,26 @@ class ProfileSolver:
 
     def stop(self, start: JointState) -> Profile | None:
         """The fastest stop of each joint by itself, or None if ruckig finds none."""
+        return self.to_velocity(start, self._zero, together=False)
+
+    def to_velocity(self, start: JointState, velocity: list[float], together: bool = True) -> Profile | None:
+        """The fastest profile to a velocity, without acceleration, wherever the joints are then; None if ruckig finds none."""
         inp = self._input
         inp.minimum_duration = None
         inp.current_position, inp.current_velocity, inp.current_acceleration = start
-        inp.target_velocity = self._zero
+        inp.target_velocity = velocity
         inp.target_acceleration = self._zero
-        inp.synchronization = _SEPARATELY
+        inp.synchronization = _TOGETHER if together else _SEPARATELY
         inp.control_interface = ruckig.ControlInterface.Velocity
         profile = self._calculated()
         inp.control_interface = ruckig.ControlInterface.Position
+        return profile
+
+    def cruise(self, start: JointState, goal: list[float], speeds: list[float]) -> Profile | None:
+        """The fastest profile of each joint by itself to rest at a goal, no faster than so many rad/s."""
+        self._input.max_velocity = speeds
+        profile = self.solve(start, JointState(goal, self._zero, self._zero), together=False)
+        self._set_limits(1.0)
         return profile
 
     def _calculated(self) -> Profile | None:

@@ -12,13 +12,15 @@ import numpy as np
 from armctl.core.limits import Limits
 from armctl.core.result import Verdict
 from armctl.core.validation import Array, BoolArray, frozen
-from armctl.plan.motion.trajectory.piecewise import Pieces, sample
+from armctl.plan.motion.trajectory.piecewise import Pieces, basis_many, sample
 
 RATIO_TOLERANCE = 1e-6  # relative, of velocity, acceleration and jerk
 POSITION_TOLERANCE = 1e-9  # rad (m); not relative, because a joint's stop does not grow with its range
 REST_SPEED = 1e-6  # rad/s; a slower end of a trajectory counts as at rest
+_JUMP_TOLERANCE = 1e-3  # of the limit of the acceleration
 _ROOT_STEPS = 11  # of Newton's method between two turning points
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+_JERK = QUANTITIES.index("jerk")
 _PER_TIME = ("", "/s", "/s^2", "/s^3")
 
 
@@ -123,6 +125,9 @@ def _peaks(pieces: Pieces, limits: Limits, order: int, joint_names: tuple[str, .
     all_times, all_values = piece_extremes(pieces.coefficients, np.diff(pieces.knots), order)
     times = np.moveaxis(all_times + pieces.knots[:-1, None, None], 1, 0).reshape(n, -1)
     values = np.moveaxis(all_values, 1, 0).reshape(n, -1)
+    if order == _JERK and (jumps := _acceleration_jumps(pieces, limits)).any():
+        times = np.concatenate([times, np.tile(pieces.knots[1:-1], (n, 1))], axis=1)
+        values = np.concatenate([values, jumps], axis=1)
     low, high = _bounds(limits, order)
     half = 0.5 * (high - low)
     scale = np.where(np.isfinite(half) & (half > 0), half, 1.0)
@@ -142,8 +147,16 @@ def _peaks(pieces: Pieces, limits: Limits, order: int, joint_names: tuple[str, .
         )
 
 
+def _acceleration_jumps(pieces: Pieces, limits: Limits) -> Array:
+    """(n, m - 1) rad/s^3, the jerk at the inner knots: infinite where the acceleration jumps, else 0."""
+    ends = np.einsum("tc,tcn->tn", basis_many(np.diff(pieces.knots)[:-1])[2], pieces.coefficients[:-1])
+    jumps = 2 * pieces.coefficients[1:, 2] - ends
+    scale = np.where(np.isfinite(limits.a_max), limits.a_max, np.abs(ends).max(initial=0.0))
+    return np.where(np.abs(jumps) > _JUMP_TOLERANCE * scale, np.copysign(np.inf, jumps), 0.0).T
+
+
 def is_inside(pieces: Pieces, limits: Limits) -> bool:
-    """`check_limits(...).ok`, without the report."""
+    """`check_limits(...).ok`, without the report, for motions whose acceleration does not jump."""
     return bool(each_inside(pieces.coefficients, np.diff(pieces.knots), limits).all())
 
 
