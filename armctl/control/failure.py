@@ -1,17 +1,7 @@
-"""What a controller returned instead of a torque, and the exception that names the controller."""
+"""What a controller returned, checked."""
 
-from armctl.control.interface import Controller
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, shown, vector
-
-
-class ControllerFailure(Exception):
-    """A controller raised an exception or returned no torque; the exception is the cause. Of several arms it names the tip."""
-
-    def __init__(self, controller: Controller, tip: str = ""):
-        super().__init__(controller, tip)
-        self.controller = controller
-        self.tip = tip
 
 
 def checked_torque(tau: object, n: int) -> Array:

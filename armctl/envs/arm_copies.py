@@ -104,7 +104,7 @@ class ArmCopies:
             mujoco.mj_setConst(self._models[row], self._datas[row])
 
     def _set_plant(self, model: mujoco.MjModel, plant: Plant) -> None:
-        apply_plant(model, mujoco.MjData(model), plant, [self._arm])
+        apply_plant(model, mujoco.MjData(model), plant, self._arm)
         if not self._has_contacts:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         brake(model, self._held)

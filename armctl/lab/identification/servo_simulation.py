@@ -53,9 +53,9 @@ class ServoSimulation:
         self.arm = arm
         self.gaps = gaps
         geared = Plant(backlash=_MIN_BACKLASH if gaps else 0.0)
-        model = new_model([arm], geared)
-        apply_plant(model, mujoco.MjData(model), Plant(), [arm])  # its masses and places are the arm's, not the file's
-        self._train = drivetrain_of([arm], geared)
+        model = new_model(arm, geared)
+        apply_plant(model, mujoco.MjData(model), Plant(), arm)  # its masses and places are the arm's, not the file's
+        self._train = drivetrain_of(arm, geared)
         self._steps = max(1, math.ceil(dt / model.opt.timestep - 1e-9))  # from one sample to the next
         model.opt.timestep = dt / self._steps
         # A plant has no reset: unstable candidates end in numbers that are not finite. Contacts would take most of the time.
@@ -120,7 +120,7 @@ class ServoSimulation:
         set_rotors_and_friction(model, self.arm, parameters)
         if self._train.rotors:
             geared = Plant(backlash=np.maximum(parameters.backlash, _MIN_BACKLASH), rotor_inertia=parameters.armature)
-            apply_drivetrain(model, geared, [self.arm], self._train)
+            apply_drivetrain(model, geared, self.arm, self._train)
             mujoco.mj_setConst(model, mujoco.MjData(model))
             finish_drivetrain(model, geared, self._train)
         model.actuator_gainprm[self._actuators, 0] = parameters.stiffness / gear

@@ -138,7 +138,7 @@ class Linearizer:
         self._model = model
         self._data = mujoco.MjData(model)
         self._substeps = round(self.dt / model.opt.timestep)
-        self._train = drivetrain_of([arm], plant)
+        self._train = drivetrain_of(arm, plant)
         self.is_elastic = bool(self._train.extra_joints)
         self._spring_dofs = model.jnt_dofadr[self._train.extra_joints]
         motors = arm.actuation.motor_adr.tolist()

@@ -1,18 +1,17 @@
-"""Actuation: the driven joints of one arm, or of several, and where MuJoCo keeps their numbers."""
+"""Actuation: the driven joints of an arm, and where MuJoCo keeps their numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from armctl.core import units
-from armctl.core.errors import InputError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, IntArray, frozen, instance, shown
+from armctl.core.validation import Array, IntArray, frozen, instance
 from armctl.model.arm.joint_map import JointMap
 from armctl.model.mjmodel.queries import joint_name
 from armctl.model.mjmodel.transmissions import Transmission
@@ -20,12 +19,12 @@ from armctl.model.mjmodel.transmissions import Transmission
 
 @dataclass(frozen=True, eq=False)
 class Actuation:
-    """The n driven joints of one or several arms: names, limits, and addresses in the arrays of MuJoCo.
+    """The n driven joints of an arm: names, limits, and addresses in the arrays of MuJoCo.
 
     A tick loop and a log need no more than this. All arrays are read-only.
 
     Attributes:
-        joint_names: The n joints; of one arm from the base to the tip.
+        joint_names: The n joints, from the base to the tip.
         joint_map: How the n joints move all joints that are coupled to them.
         limits: The limits of the n joints.
         units: "rad" for each joint that turns, "m" for each that slides.
@@ -86,28 +85,4 @@ class Actuation:
             ctrl_adr=frozen(model.actuator_ctrladr[actuators].astype(np.int64)),
             motor_adr=frozen(np.array(actuators, dtype=np.int64)),
             gear=frozen(np.array([transmission.gear for transmission in transmissions])),
-        )
-
-    @classmethod
-    def concatenated(cls, parts: Sequence[Actuation]) -> Actuation:
-        """The joints of several arms of one model, in the order of the arms.
-
-        Args:
-            parts: The actuation of each arm.
-
-        Raises:
-            InputError: There are no parts, or two of them move the same joint.
-        """
-        if not isinstance(parts, Sequence) or not parts:
-            raise InputError(f"parts: expected a list of at least one Actuation, got {shown(parts)}")
-        for part in parts:
-            instance("parts", part, Actuation, "arm.actuation is one")
-        maps = [part.joint_map for part in parts]
-        arrays = ("qpos_adr", "dof_adr", "ctrl_adr", "motor_adr", "gear")
-        return cls(
-            joint_names=tuple(name for part in parts for name in part.joint_names),
-            joint_map=JointMap.concatenated(maps),
-            limits=Limits(*(np.concatenate([getattr(part.limits, f.name) for part in parts]) for f in fields(Limits))),
-            units=tuple(unit for part in parts for unit in part.units),
-            **{name: frozen(np.concatenate([getattr(part, name) for part in parts])) for name in arrays},
         )

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from armctl.core.errors import InputError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.model.mjmodel.queries import Joints
 from armctl.model.mjmodel.transmissions import Transmission
@@ -52,31 +51,6 @@ class JointMap:
             offset=frozen(offset),
             qpos_adr=frozen(model.jnt_qposadr[index].astype(np.int64)),
             dof_adr=frozen(model.jnt_dofadr[index].astype(np.int64)),
-        )
-
-    @classmethod
-    def concatenated(cls, parts: Sequence[JointMap]) -> JointMap:
-        """The joint maps of several arms of one model as one, in the order of the arms."""
-        joints = tuple(joint for part in parts for joint in part.joints)
-        if len(set(joints)) < len(joints):
-            raise InputError("arms: two of them move the same joint; give arms that share no joint")
-        ratio = np.zeros((len(joints), sum(part.ratio.shape[1] for part in parts)))
-        leaders = []
-        row = 0
-        column = 0
-        for part in parts:
-            rows, columns = part.ratio.shape
-            ratio[row : row + rows, column : column + columns] = part.ratio
-            leaders.append(part.leaders + row)
-            row += rows
-            column += columns
-        return cls(
-            joints=joints,
-            leaders=frozen(np.concatenate(leaders)),
-            ratio=frozen(ratio),
-            offset=frozen(np.concatenate([part.offset for part in parts])),
-            qpos_adr=frozen(np.concatenate([part.qpos_adr for part in parts])),
-            dof_adr=frozen(np.concatenate([part.dof_adr for part in parts])),
         )
 
     def set_positions(self, qpos: Array, q: Array) -> None:

@@ -30,7 +30,7 @@ from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.move_free import FreeSpace
-from armctl.run.execution.move import ControlledArms, PlannedMove, plan_by_tip, plan_free, plan_lasting, plan_move, plan_to
+from armctl.run.execution.move import ControlledArm, PlannedMove, plan_by_tip, plan_free, plan_lasting, plan_move, plan_to
 from armctl.run.execution.obstacles import Obstacles
 
 if TYPE_CHECKING:
@@ -64,12 +64,12 @@ class Commands:
         data: Its MjData, for reading.
     """
 
-    def __init__(self, arms: ControlledArms):
-        """Commands for the only arm of `arms`."""
-        self._arms = arms
-        [self.arm] = arms.arms.values()
-        self.model = arms.drive.model
-        self.data = arms.drive.data
+    def __init__(self, controlled: ControlledArm):
+        """Commands for an arm on its drive."""
+        self._controlled = controlled
+        self.arm = controlled.arm
+        self.model = controlled.drive.model
+        self.data = controlled.drive.data
         self._obstacles = Obstacles(self.arm, self.data)
 
     @property
@@ -78,27 +78,27 @@ class Commands:
 
         After `step` it holds all steps since the last run or reset.
         """
-        return self._arms.logs.get(self.arm.tip)
+        return self._controlled.log
 
     @property
     def dt(self) -> float:
         """The tick, s: the plant's step and the control period."""
-        return self._arms.drive.dt
+        return self._controlled.drive.dt
 
     @property
     def state(self) -> State:
         """The state of the arm now; that of a simulation is the true one."""
-        return self._arms.drive.state
+        return self._controlled.drive.state
 
     @property
     def tip(self) -> Pose:
         """The pose of the tip now, T_world_tip; of several tips that of the first one."""
-        return self._arms.tip_pose(self.arm.tip)
+        return self._controlled.drive.tip_pose(self.arm)
 
     @property
     def tips(self) -> dict[str, Pose]:
         """The poses of all tips now, T_world_tip, by name."""
-        return {tip: self._arms.drive.tip_pose(self.arm, tip) for tip in self.arm.tips}
+        return {tip: self._controlled.drive.tip_pose(self.arm, tip) for tip in self.arm.tips}
 
     @property
     def target(self) -> Array:
@@ -125,7 +125,7 @@ class Commands:
                 long for a log.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
-        return self._arms.run({self.arm.tip: trajectory}, number("dwell", dwell, 0.0))[self.arm.tip]
+        return self._controlled.run(trajectory, number("dwell", dwell, 0.0))
 
     def move_to(
         self,
@@ -291,7 +291,7 @@ class Commands:
         """
         from armctl.run.execution.follow import follow
 
-        return follow(self._arms, self.arm, target, number("duration", duration, self._arms.drive.dt), self._refusal)
+        return follow(self._controlled, target, number("duration", duration, self.dt), self._refusal)
 
     def streaming(self) -> StreamRun:
         """Opens a stream of targets, from a policy or a device, for a `with`.
@@ -310,7 +310,7 @@ class Commands:
         """
         from armctl.run.execution.follow import StreamRun
 
-        return StreamRun(self._arms, self.arm, self._refusal)
+        return StreamRun(self._controlled, self._refusal)
 
     def _refusal(self, pieces: Pieces) -> str:
         """Why a motion of a stream may not be made; empty if it may."""
@@ -338,7 +338,7 @@ class Commands:
 
     @property
     def _start(self) -> Array:
-        return self._arms.start(self.arm.tip)
+        return self._controlled.start
 
     def _move_by_tip(
         self,
@@ -356,11 +356,11 @@ class Commands:
         space = None if checker is None else FreeSpace(checker)
         goal = Target.read(self.tip)
         plan = partial(plan_lasting, self.arm, partial(plan_by_tip, self.arm, targets, self._start, speed, space), duration)
-        return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)})[self.arm.tip]
+        return self._controlled.move(self._controlled.planned(goal, plan))
 
     def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:
         set_target(self.model, self.data, goal.position, None if goal.pose is None else goal.pose.quat)
-        return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)})[self.arm.tip]
+        return self._controlled.move(self._controlled.planned(goal, plan))
 
     def _move_along(
         self,

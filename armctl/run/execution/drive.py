@@ -25,7 +25,7 @@ class Drive(Protocol):
 
     @property
     def actuation(self) -> Actuation:
-        """The driven joints of all arms."""
+        """The driven joints of the arm."""
         ...
 
     @property
@@ -71,15 +71,15 @@ class Drive(Protocol):
 
     @property
     def state(self) -> State:
-        """The state of all arms now."""
+        """The state of the arm now."""
         ...
 
     def tip_pose(self, arm: Arm, tip: str | None = None) -> Pose:
         """The pose of one of an arm's tips now, T_world_tip; of the first one if left out."""
         ...
 
-    def is_still(self, joints: slice) -> bool:
-        """Whether some of the joints are at rest."""
+    def is_still(self) -> bool:
+        """Whether the arm is at rest."""
         ...
 
     def recorder(self) -> Recorder:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -13,11 +13,10 @@ from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.validation import Array, instance, number, shown
-from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.mjmodel.queries import body_named
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.stream.stream import Stream
-from armctl.run.execution.move import ControlledArms
+from armctl.run.execution.move import ControlledArm, RunPurpose
 from armctl.run.execution.recorder import Recorder, ticks_for
 
 _FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
@@ -34,31 +33,28 @@ class StreamRun:
 
     def __init__(
         self,
-        arms: ControlledArms,
-        arm: Arm,
+        controlled: ControlledArm,
         refusal: Callable[[Pieces], str] | None = None,
-        targets: Mapping[str, Array] | None = None,
+        purpose: RunPurpose | None = None,
     ):
         """A run that begins where the arm's last reference ended.
 
         Args:
             refusal: Why a motion, given as polynomials from now on, may not be made; empty if it may.
-            targets: (7,) of each arm, for the log; changes until the end of the run count. None for no targets.
+            purpose: What the log says of the run; None for a run without a target.
         """
-        instance("arms", arms, ControlledArms, "Simulation.streaming() makes a StreamRun of its arms")
-        check_arm(arm)
-        self.stream = Stream(arm, arms.start(arm.tip), refusal=refusal)
-        self._arms = arms
-        self._drive = arms.drive
-        self._controller = arms.controllers[arm.tip]
-        self._durations: dict[str, float] = {}
-        self._tip = arm.tip
-        self._recording = arms.recording(self._durations, targets)
+        instance("controlled", controlled, ControlledArm, "Simulation.streaming() makes a StreamRun of its arm")
+        self.stream = Stream(controlled.arm, controlled.start, refusal=refusal)
+        self._controlled = controlled
+        self._drive = controlled.drive
+        self._controller = controlled.controller
+        self._purpose = RunPurpose() if purpose is None else purpose
+        self._recording = controlled.recording(self._purpose)
         self._due = 0.0
         self._recorder: Recorder | None = None
 
     def __repr__(self) -> str:
-        return f"StreamRun({self._tip!r}, t = {self.stream.t:.4g} s{'' if self._recorder else ', not running'})"
+        return f"StreamRun({self._controlled.arm.tip!r}, t = {self.stream.t:.4g} s{'' if self._recorder else ', not running'})"
 
     def __enter__(self) -> StreamRun:
         self._recorder = self._recording.__enter__()
@@ -66,7 +62,7 @@ class StreamRun:
 
     def __exit__(self, *exception: Any) -> None:
         self._recorder = None
-        self._durations[self._tip] = self.stream.t
+        self._purpose.duration = self.stream.t
         self._recording.__exit__(*exception)
 
     def advance(self, duration: float) -> str:
@@ -95,30 +91,31 @@ class StreamRun:
             reference = self.stream.reference(ticks, dt, self._drive.continuous)
             self._drive.run(self._controller, reference, self._recorder, to_rest)
             if self._drive.late > late:
-                self.stream.restart(max(self.stream.t, t + float(self._drive.data.time) - begin), self._arms.start(self._tip))
+                self.stream.restart(max(self.stream.t, t + float(self._drive.data.time) - begin), self._controlled.start)
                 self._due = self.stream.t
         return self._drive.failure
 
 
 def follow(
-    arms: ControlledArms, arm: Arm, target: MovingTarget, duration: float, refusal: Callable[[Pieces], str] | None = None
+    controlled: ControlledArm, target: MovingTarget, duration: float, refusal: Callable[[Pieces], str] | None = None
 ) -> Log:
     """Follows a body, or a function of the time, for a duration, s, and reads it 50 times a second."""
-    drive = arms.drive
+    drive = controlled.drive
     data = drive.data
     target_at = _target_function(drive.model, data, target)
     ticks_for(duration, drive.dt)
     begin = data.time
     interval = max(_FOLLOW_INTERVAL_S, drive.dt)
-    targets: dict[str, Array] = {}
-    with StreamRun(arms, arm, refusal, targets) as run:
+    purpose = RunPurpose()
+    with StreamRun(controlled, refusal, purpose) as run:
         while not drive.failure and data.time - begin < duration - 1e-9:
             goal = Target.read(target_at(data.time - begin))
-            targets[arm.tip] = goal.numbers
+            purpose.target = goal.numbers
             run.stream.push_pose(run.stream.t, goal)
             run.advance(interval)
-        targets[arm.tip] = Target.read(target_at(data.time - begin)).numbers
-    return arms.logs[arm.tip]
+        purpose.target = Target.read(target_at(data.time - begin)).numbers
+    assert controlled.log is not None  # the run is over
+    return controlled.log
 
 
 def _target_function(model: mujoco.MjModel, data: mujoco.MjData, target: MovingTarget) -> Callable[[float], Pose | ArrayLike]:

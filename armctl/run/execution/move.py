@@ -1,18 +1,16 @@
-"""ControlledArms: plan, run, settle and report. The one implementation of a move, for one arm and for several."""
+"""ControlledArm: plan, run, settle and report. The one implementation of a move."""
 
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import accumulate
 
 import numpy as np
 
 from armctl.control import controller_by_name
-from armctl.control.failure import ControllerFailure, checked_torque
-from armctl.control.interface import WRENCH_SIZE, Controller, ControllerWrapper, State, Traits, has_torque, traits
+from armctl.control.interface import Controller, has_torque, traits
 from armctl.core.defaults import AT_REST_SPEED, RESTING_S, SETTLE_TIMEOUT_S
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
@@ -20,7 +18,7 @@ from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.tip_targets import LookAt, RelativeTo, Stay, TipTargets, targets_by_tip
-from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
+from armctl.core.trajectory import TickReference, Trajectory, check_motion
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, shown
 from armctl.model.arm.arm import Arm
@@ -42,7 +40,7 @@ _MAX_CONTACTS_IN_REASON = 3
 
 @dataclass(frozen=True, eq=False)
 class PlannedMove:
-    """The move of one arm: its target, and the motion there or the reason why there is none."""
+    """A move: its target, and the motion there or the reason why there is none."""
 
     target: Target  # of the first tip
     trajectory: Trajectory | None = None
@@ -153,49 +151,49 @@ def read_controller(given: Controller | str, arm: Arm) -> Controller:
     return given
 
 
-class ControlledArms:
-    """Arms of one model on one drive, each with a controller, by the names of their tips."""
+@dataclass
+class RunPurpose:
+    """What a run is for, as its log says; changes until its end count."""
 
-    def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], drive: Drive):
-        self.arms = {arm.tip: arm for arm in arms}
-        self.controllers = dict(controllers)
+    duration: float = 0.0  # s, until the reference is at rest
+    target: Array = field(default_factory=NO_TARGET.copy)  # (7,) position, m, and quaternion
+
+
+class ControlledArm:
+    """An arm on a drive, with its controller."""
+
+    def __init__(self, arm: Arm, controller: Controller, drive: Drive):
+        self.arm = arm
+        self.controller = controller
         self.drive = drive
-        ends = accumulate(arm.n for arm in arms)
-        self._slices = {arm.tip: slice(end - arm.n, end) for arm, end in zip(arms, ends, strict=True)}
-        self._wrenches = {arm.tip: slice(WRENCH_SIZE * i, WRENCH_SIZE * (i + 1)) for i, arm in enumerate(arms)}
-        self._logs: dict[str, Log] = {}
+        self._log: Log | None = None
 
     @property
-    def logs(self) -> dict[str, Log]:
-        """The log of each arm's last run; empty before the first."""
-        return self._logs
+    def log(self) -> Log | None:
+        """The log of the last run; None before the first."""
+        return self._log
 
-    def start(self, tip: str) -> Array:
-        """(n,) rad, where the next motion of an arm starts: where its last reference ended."""
-        return self.arms[tip].limits.clamp(self.drive.q_ref[self._slices[tip]])
+    @property
+    def start(self) -> Array:
+        """(n,) rad, where the next motion starts: where the last reference ended."""
+        return self.arm.limits.clamp(self.drive.q_ref)
 
-    def tip_pose(self, tip: str) -> Pose:
-        """The pose of a tip now, T_world_tip."""
-        return self.drive.tip_pose(self.arms[tip])
-
-    def run(self, trajectories: Mapping[str, Trajectory], dwell: float, until_rest: bool = False) -> dict[str, Log]:
-        """Runs trajectories that start now, and holds their ends for `dwell` seconds, or only until they rest."""
-        for tip, trajectory in trajectories.items():
-            check_motion(trajectory, self.arms[tip].joint_names)
-        durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
-        moving = max(durations.values(), default=0.0)
+    def run(self, trajectory: Trajectory, dwell: float, until_rest: bool = False) -> Log:
+        """Runs a trajectory that starts now, and holds its end for `dwell` seconds, or only until the arm rests."""
+        check_motion(trajectory, self.arm.joint_names)
+        moving = trajectory.duration
         held = min(dwell, SETTLE_CHECK_INTERVAL_S) if until_rest else dwell
         ticks = ticks_for(moving + held, self.drive.dt)
-        reference = self._reference(trajectories, ticks)
-        with self.recording(durations) as recorder:
-            self._run(trajectories, reference, recorder)
+        reference = self.drive.reference(trajectory, ticks)
+        with self.recording(RunPurpose(moving)) as recorder:
+            self._run(trajectory, reference, recorder)
             if until_rest:
-                left = ticks_for(moving + dwell, self.drive.dt) - ticks
-                self._wait_for_rest([self._slices[tip] for tip in trajectories], left, recorder)
-        return self._logs
+                self._wait_for_rest(ticks_for(moving + dwell, self.drive.dt) - ticks, recorder)
+        assert self._log is not None  # the run is over
+        return self._log
 
-    def _wait_for_rest(self, joints: Sequence[slice], ticks: int, recorder: Recorder) -> None:
-        """Holds the arms, at most for so many ticks, until their joints have stayed where they are for a while.
+    def _wait_for_rest(self, ticks: int, recorder: Recorder) -> None:
+        """Holds the arm, at most for so many ticks, until its joints have stayed where they are for a while.
 
         One look is not enough: a swing is still at its turning points.
         """
@@ -205,54 +203,50 @@ class ControlledArms:
         for first in range(0, ticks, interval):
             passed.append(drive.state.q)
             moved = np.ptp(np.array(passed), axis=0)
-            at_rest = len(passed) == passed.maxlen and all((moved[each] < AT_REST_SPEED * RESTING_S).all() for each in joints)
+            at_rest = len(passed) == passed.maxlen and bool((moved < AT_REST_SPEED * RESTING_S).all())
             if at_rest or drive.failure:
                 return
-            drive.run(self._controller, hold_reference(drive, min(interval, ticks - first) * drive.dt), recorder)
+            drive.run(self.controller, hold_reference(drive, min(interval, ticks - first) * drive.dt), recorder)
 
-    def _run(self, trajectories: Mapping[str, Trajectory], reference: TickReference, recorder: Recorder) -> None:
-        """Runs motions on the ticks."""
-        self.drive.run(self._controller, reference, recorder)
+    def _run(self, trajectory: Trajectory, reference: TickReference, recorder: Recorder) -> None:
+        """Runs a motion on the ticks."""
+        self.drive.run(self.controller, reference, recorder)
 
     def planned(self, target: Target, plan: Callable[[], PlannedMove]) -> PlannedMove:
         """A plan; a refusal if no motion may start, such as from a state that diverged."""
         blocked = self.drive.blocked
         return PlannedMove(target, refusal=blocked) if blocked else plan()
 
-    def move(self, moves: Mapping[str, PlannedMove]) -> dict[str, MoveResult]:
-        """Runs planned moves at once, then waits until the tips rest at their targets, at most one second."""
+    def move(self, move: PlannedMove) -> MoveResult:
+        """Runs a planned move, then waits until the tips rest at their targets, at most one second."""
         drive = self.drive
-        trajectories = {tip: each.trajectory for tip, each in moves.items() if each.trajectory is not None}
-        if not trajectories:
-            return {tip: self._result(tip, each, 0.0, each.refusal, None) for tip, each in moves.items()}
+        trajectory = move.trajectory
+        if trajectory is None:
+            return self._result(move, 0.0, move.refusal, None)
         begin = drive.data.time
-        durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
-        reference = self._reference(trajectories, ticks_for(max(durations.values()), drive.dt))
-        targets = {tip: each.target.numbers for tip, each in moves.items()}
+        reference = drive.reference(trajectory, ticks_for(trajectory.duration, drive.dt))
         is_done = False
-        with self.recording(durations, targets) as recorder:
-            self._run(trajectories, reference, recorder)
+        with self.recording(RunPurpose(trajectory.duration, move.target.numbers)) as recorder:
+            self._run(trajectory, reference, recorder)
             hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + SETTLE_TIMEOUT_S
             while not drive.failure and drive.data.time < deadline:
-                still = all(drive.is_still(self._slices[tip]) for tip in trajectories)
-                is_done = still and all(self._is_reached(tip, moves[tip]) for tip in trajectories)
+                is_done = drive.is_still() and self._is_reached(move)
                 if is_done:
                     break
-                drive.run(self._controller, hold, recorder)
+                drive.run(self.controller, hold, recorder)
         duration = float(drive.data.time - begin)
-        reasons = {tip: self._reason(tip, each, is_done) for tip, each in moves.items()}
-        return {tip: self._result(tip, each, duration, reasons[tip], self._logs[tip]) for tip, each in moves.items()}
+        return self._result(move, duration, self._reason(move, is_done), self._log)
 
     def hold(self, seconds: float) -> None:
-        """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
+        """Holds the arm at its last reference, for at least one tick; not recorded unless it fails."""
         self.resume()
         recorder = self.drive.recorder()
         reference = hold_reference(self.drive, seconds)
         try:
-            self.drive.run(self._controller, reference, recorder)
+            self.drive.run(self.controller, reference, recorder)
         except BaseException as error:
-            self._keep_logs(recorder, {}, {}, error)
+            self._keep_log(recorder, RunPurpose(), error)
             raise
 
     def resume(self) -> None:
@@ -261,56 +255,40 @@ class ControlledArms:
             self.drive.failure = ""
 
     @contextmanager
-    def recording(
-        self, durations: Mapping[str, float], targets: Mapping[str, Array] | None = None, controller: Controller | None = None
-    ) -> Iterator[Recorder]:
-        """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
+    def recording(self, purpose: RunPurpose, controller: Controller | None = None) -> Iterator[Recorder]:
+        """A recorder whose ticks become the log, however the run ends; a SimulationError gets it.
 
-        The durations, s, are those until the reference of each arm is at rest; left-out arms do not move. Changes of the
-        targets (7,) until the end of the run count. An open-loop run has a controller instead of the arms' own.
+        An open-loop run has a controller instead of the arm's own.
         """
         self.resume()
         recorder = self.drive.recorder()
-        targets = {} if targets is None else targets
         try:
             yield recorder
             self.drive.come_to_rest(stop=False)
         except BaseException as error:
             self.drive.come_to_rest(stop=True)
-            self._keep_logs(recorder, durations, targets, error, controller)
+            self._keep_log(recorder, purpose, error, controller)
             raise
-        self._keep_logs(recorder, durations, targets, None, controller)
+        self._keep_log(recorder, purpose, None, controller)
 
-    def _keep_logs(
-        self,
-        recorder: Recorder,
-        durations: Mapping[str, float],
-        targets: Mapping[str, Array],
-        error: BaseException | None,
-        controller: Controller | None = None,
+    def _keep_log(
+        self, recorder: Recorder, purpose: RunPurpose, error: BaseException | None, controller: Controller | None = None
     ) -> None:
         if not recorder.has_begun:
             return
-        self._logs = {}
-        for tip, arm in self.arms.items():
-            name = traits(controller or self.controllers[tip]).name
-            duration = float(durations.get(tip, 0.0))
-            info = self._run_info(recorder, name, duration, targets.get(tip, NO_TARGET), error)
-            self._logs[tip] = recorder.log(arm, info, self._slices[tip], self._wrenches[tip])
+        name = traits(controller or self.controller).name
+        self._log = recorder.log(self.arm, self._run_info(recorder, name, purpose, error))
         self._give_log(error)
-        self._check_logs()
+        self._check_log(self._log)
 
-    def _check_logs(self) -> None:
-        """Called after a run has new logs."""
+    def _check_log(self, log: Log) -> None:
+        """Called after a run has a new log."""
 
-    def _run_info(
-        self, recorder: Recorder, controller: str, duration: float, target: Array, error: BaseException | None
-    ) -> RunInfo:
-        failure = self.drive.failure
-        if error is not None and not failure:
-            failure = f"interrupted at {self.drive.data.time:.3f} s by {type(error).__name__}"
-        wall_time = time.perf_counter() - recorder.started
+    def _run_info(self, recorder: Recorder, controller: str, purpose: RunPurpose, error: BaseException | None) -> RunInfo:
         drive = self.drive
+        failure = drive.failure
+        if error is not None and not failure:
+            failure = f"interrupted at {drive.data.time:.3f} s by {type(error).__name__}"
         return RunInfo(
             controller=controller,
             plant=drive.description,
@@ -318,60 +296,38 @@ class ControlledArms:
             continuous=drive.continuous,
             torques=drive.torques,
             dt=drive.dt,
-            motion_duration=duration,
-            target=target,
-            wall_time=wall_time,
+            motion_duration=float(purpose.duration),
+            target=purpose.target,
+            wall_time=time.perf_counter() - recorder.started,
             failure=failure,
         )
 
     def _give_log(self, error: BaseException | None) -> None:
-        """Gives a SimulationError the log of the arm whose controller failed."""
+        """Gives a SimulationError the log."""
         if isinstance(error, SimulationError):
-            failure = error.__cause__
-            tip = failure.tip if isinstance(failure, ControllerFailure) else ""
-            error.log = self._logs[tip or next(iter(self._logs))]
+            error.log = self._log
 
-    @property
-    def _controller(self) -> Controller:
-        if len(self.arms) == 1:
-            return next(iter(self.controllers.values()))
-        return _JointController(self.controllers, self._slices, self._wrenches)
+    def _ends(self, move: PlannedMove) -> Iterator[tuple[str, Target, Pose]]:
+        """Where each tip should be, and is now."""
+        for name, target in (move.tip_targets or {self.arm.tip: move.target}).items():
+            yield name, target, self.drive.tip_pose(self.arm, name)
 
-    def _reference(self, trajectories: Mapping[str, Trajectory], ticks: int) -> TickReference:
-        """The trajectories of some arms on the ticks; the other arms stay at their last references."""
-        drive = self.drive
-        if len(self.arms) == 1 and trajectories:
-            return drive.reference(next(iter(trajectories.values())), ticks)
-        reference = TickReference(*(np.zeros((ticks, drive.actuation.n)) for _ in TickReference._fields))
-        reference.q[:] = drive.q_ref
-        for tip, trajectory in trajectories.items():
-            for whole, own in zip(reference, drive.reference(trajectory, ticks), strict=True):
-                whole[:, self._slices[tip]] = own
-        return reference
+    def _is_reached(self, move: PlannedMove) -> bool:
+        return all(target.is_reached(pose) for _, target, pose in self._ends(move))
 
-    def _ends(self, tip: str, move: PlannedMove) -> Iterator[tuple[str, Target, Pose]]:
-        """Where each tip of an arm should be, and is now."""
-        arm = self.arms[tip]
-        for name, target in (move.tip_targets or {arm.tip: move.target}).items():
-            yield name, target, self.drive.tip_pose(arm, name)
-
-    def _is_reached(self, tip: str, move: PlannedMove) -> bool:
-        return all(target.is_reached(pose) for _, target, pose in self._ends(tip, move))
-
-    def _reason(self, tip: str, move: PlannedMove, is_done: bool) -> str:
+    def _reason(self, move: PlannedMove, is_done: bool) -> str:
         """Why a move that ran is not ok; empty if it is. One that was found done is not judged again."""
-        reason = move.refusal or self.drive.failure
+        reason = self.drive.failure
         if not reason and not is_done:
-            reason = self._shortfall(tip, move)
-        if reason and not move.refusal:
-            q = self.drive.q_ref[self._slices[tip]]
-            reason += self.drive.instability(self.arms[tip], self.controllers[tip], q)
+            reason = self._shortfall(move)
+        if reason:
+            reason += self.drive.instability(self.arm, self.controller, self.drive.q_ref)
         return reason
 
-    def _shortfall(self, tip: str, move: PlannedMove) -> str:
-        """How the tips of an arm miss their targets, or that it has not come to rest; empty if neither."""
+    def _shortfall(self, move: PlannedMove) -> str:
+        """How the tips miss their targets, or that the arm has not come to rest; empty if neither."""
         missed = []
-        for name, target, pose in self._ends(tip, move):
+        for name, target, pose in self._ends(move):
             if target.is_reached(pose):
                 continue
             position_error, orientation_error = target.distance(pose)
@@ -380,14 +336,15 @@ class ControlledArms:
             which = name if move.tip_targets else "the tip"
             missed.append(f"{which} is {off} and {orientation_error:.3g} rad from the target, {allowed}")
         if missed:
-            return "; ".join([*missed, *map(str, self._logs[tip].contacts[:_MAX_CONTACTS_IN_REASON])])
-        if not self.drive.is_still(self._slices[tip]):
+            contacts = () if self._log is None else self._log.contacts
+            return "; ".join([*missed, *map(str, contacts[:_MAX_CONTACTS_IN_REASON])])
+        if not self.drive.is_still():
             return f"the arm has not come to rest within {SETTLE_TIMEOUT_S:g} s"
         return ""
 
-    def _result(self, tip: str, move: PlannedMove, duration: float, reason: str, log: Log | None) -> MoveResult:
+    def _result(self, move: PlannedMove, duration: float, reason: str, log: Log | None) -> MoveResult:
         """The result with the largest errors of the arm's tips."""
-        errors = [target.distance(pose) for _, target, pose in self._ends(tip, move)]
+        errors = [target.distance(pose) for _, target, pose in self._ends(move)]
         return MoveResult(
             ok=not reason,
             position_error=max(position_error for position_error, _ in errors),
@@ -395,43 +352,7 @@ class ControlledArms:
             duration=duration,
             reason=reason,
             log=log,
-            unchecked_links=self.arms[tip].unchecked_links,
+            unchecked_links=self.arm.unchecked_links,
             clearance=move.clearance,
             left_out=move.left_out,
         )
-
-
-class _JointController(ControllerWrapper):
-    """The controllers of several arms as one; each sees only its own arm."""
-
-    def __init__(self, controllers: Mapping[str, Controller], slices: Mapping[str, slice], wrenches: Mapping[str, slice]):
-        self._controllers = controllers
-        self._slices = slices
-        self._wrenches = wrenches
-        each = {tip: traits(controller) for tip, controller in controllers.items()}
-        self._planning = {tip: own.foresee for tip, own in each.items() if own.foresee is not None}
-        self.traits = Traits(
-            name="team",
-            needs_wrench=any(own.needs_wrench for own in each.values()),
-            needs_deflection=any(own.needs_deflection for own in each.values()),
-            foresee=self._foresee if self._planning else None,
-        )
-
-    def _foresee(self, ahead: TickReference) -> None:
-        for tip, foresee in self._planning.items():
-            foresee(TickReference(*(column[:, self._slices[tip]] for column in ahead)))
-
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        torques = np.empty(len(state.q))
-        for tip, own in self._slices.items():
-            controller = self._controllers[tip]
-            reference = Setpoint(*(None if column is None else column[own] for column in setpoint))  # type: ignore[arg-type]
-            wrench = None if state.wrench is None else state.wrench[self._wrenches[tip]]
-            try:
-                deflection = None if state.deflection is None else state.deflection[:, own]
-                seen = state._replace(q=state.q[own], v=state.v[own], wrench=wrench, deflection=deflection)
-                torque = controller.torque(seen, reference)
-                torques[own] = checked_torque(torque, own.stop - own.start)
-            except Exception as error:
-                raise ControllerFailure(controller, tip) from error
-        return torques

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from armctl import _core
+from armctl.control.interface import WRENCH_SIZE
 from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log, LogSource, LogTorques
 from armctl.core.log_columns import REFERENCES, STATES
@@ -21,7 +22,6 @@ from armctl.model.mjmodel.queries import body_name, geom_owner_name
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
 _MAX_KEPT_ROWS = 20_000  # of a reference
-_FIRST_WRENCH = slice(0, 6)  # the columns of the only arm
 _RECORDED = ("qpos", *STATES[1:])  # q is part of qpos
 
 
@@ -35,15 +35,15 @@ class TickRows:
         self.v = np.empty((ticks, n))  # rad/s
         self.tau_cmd = np.empty((ticks, n))  # N m, the command
         self.tau = np.empty((ticks, n))  # N m, what the motors did
-        self.wrench: Array | None = None  # (ticks, 6 per arm) the true ones on the tips, if the controller measured them
+        self.wrench: Array | None = None  # (ticks, 6) the true ones on the tip, if the controller measured them
         self.count = 0
         # For each row at which the touching geoms change: `MjData.contact.geom`.
         self.contacts: list[tuple[int, bytes]] = []
 
-    def with_wrench(self, size: int) -> Array:
-        """The rows of the wrenches, (ticks, size); NaN before the first call."""
+    def with_wrench(self) -> Array:
+        """The rows of the wrenches, (ticks, 6); NaN before the first call."""
         if self.wrench is None:
-            self.wrench = np.full((len(self.v), size), np.nan)
+            self.wrench = np.full((len(self.v), WRENCH_SIZE), np.nan)
         return self.wrench
 
 
@@ -92,7 +92,7 @@ class Recorder:
 
         Args:
             model: The model whose positions are recorded.
-            actuation: The joints of all arms in it.
+            actuation: The joints of the arm in it.
             tips: Those of references.
             positions: The joint positions (T, n) of rows (T, nq); those of the actuation if left out.
         """
@@ -120,13 +120,11 @@ class Recorder:
         if not self.size:
             self.started = time.perf_counter()
 
-    def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = _FIRST_WRENCH) -> Log:
-        """The recorded rows of an arm as a Log; the tips are from the arm's forward kinematics, which is MuJoCo's to 1e-9."""
+    def log(self, arm: Arm, run: RunInfo) -> Log:
+        """The recorded rows as a Log; the tips are from the arm's forward kinematics, which is MuJoCo's to 1e-9."""
         dt = run.dt
         columns = self._columns()
         qpos = columns.pop("qpos")
-        if len(arm.joint_names) < self._actuation.n:
-            columns = {name: np.ascontiguousarray(column[:, joints]) for name, column in columns.items()}
         tip, rotations = tips(arm.core_model, columns["q"])
         tip_ref, tip_ref_quat = self._tips.of(arm.core_model, columns["q_ref"])
         return Log(
@@ -151,7 +149,7 @@ class Recorder:
             qpos=qpos[:, : arm.model.nq],
             units=arm.units,
             contacts=self._contacts(arm, dt),
-            wrench=self._wrenches(wrench),
+            wrench=self._wrenches(),
             **columns,
         )
 
@@ -168,14 +166,13 @@ class Recorder:
         columns["q"] = qpos.take(self._actuation.qpos_adr, axis=1) if positions is None else positions(qpos)
         return columns
 
-    def _wrenches(self, columns: slice) -> Array:
-        """(T, 6) of one arm, NaN where the controller did not measure them; (0, 6) if none did."""
+    def _wrenches(self) -> Array:
+        """(T, 6), NaN where the controller did not measure them; (0, 6) if none did."""
         if all(part.wrench is None for part in self._parts):
-            return np.zeros((0, 6))
-        unknown = np.full((1, 6), np.nan)
+            return np.zeros((0, WRENCH_SIZE))
+        unknown = np.full((1, WRENCH_SIZE), np.nan)
         rows = [
-            np.repeat(unknown, part.count, axis=0) if part.wrench is None else part.wrench[: part.count, columns]
-            for part in self._parts
+            np.repeat(unknown, part.count, axis=0) if part.wrench is None else part.wrench[: part.count] for part in self._parts
         ]
         return np.concatenate(rows)
 

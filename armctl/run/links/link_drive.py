@@ -98,9 +98,9 @@ class LinkDrive:
     def tip_pose(self, arm: Arm, tip: str | None = None) -> Pose:
         return arm.fk(self.state.q, tip)
 
-    def is_still(self, joints: slice) -> bool:
-        """Whether the positions of some joints have not changed for a moment."""
-        return self._mirror.is_still(joints)
+    def is_still(self) -> bool:
+        """Whether the positions of the joints have not changed for a moment."""
+        return self._mirror.is_still()
 
     def recorder(self) -> LinkRecorder:
         return LinkRecorder(self._mirror, self.actuation, self._tips, self.dt)

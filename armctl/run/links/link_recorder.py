@@ -52,12 +52,12 @@ class LinkRecorder(Recorder):
         if self._is_open and self._segments:
             self._segments[-1].readings.append(readings)
 
-    def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = slice(0, 6)) -> Log:
+    def log(self, arm: Arm, run: RunInfo) -> Log:
         """The readings as a Log. A tick that was lost has the next reading, and a reference between those that were sent."""
         self._is_open = False
         for segment in self._segments:
             self._add(segment)
-        return super().log(arm, run, joints, wrench)
+        return super().log(arm, run)
 
     def _add(self, segment: _Segment) -> None:
         parts = [part for part in segment.readings if len(part.tick)]

@@ -199,7 +199,7 @@ class _SimulatedRobot:
     """A simulated arm with the servo that follows the rows on their way to it."""
 
     def __init__(self, arm: Arm, plant: Plant, q_start: Array, lag: int):
-        self.stepper = Stepper([arm], plant)
+        self.stepper = Stepper(arm, plant)
         self.stepper.reset(q_start)
         self.gripper: Gripper | None = None
         self.streaming = False

@@ -39,7 +39,7 @@ from armctl.run.links.link import Link, check_link
 from armctl.run.links.link_check import LinkCheck, link_check_of, model_refusal, tip_difference
 from armctl.run.links.link_drive import LinkDrive
 from armctl.run.links.process import RemoteHost
-from armctl.run.links.robot_arms import RobotArms
+from armctl.run.links.robot_arm import RobotArm
 
 LEASE_S = 0.5  # without a request of the planner, until the arm brakes
 _SLOWEST = 0.02  # of a motion's speed; one that must be slower is refused
@@ -116,8 +116,8 @@ class Robot(Commands):
                 raise LinkError(refusal)
             self._drive = LinkDrive(arm, self._host, link, envelope, tip_speed)
             failed.pop_all()
-        self._arms: RobotArms = RobotArms(arm, self._drive, self._provable)
-        super().__init__(self._arms)
+        self._controlled: RobotArm = RobotArm(arm, self._drive, self._provable)
+        super().__init__(self._controlled)
         self._settle = link.settle
         self._closed = False
 
@@ -138,7 +138,7 @@ class Robot(Commands):
 
         It is detected in the program, so that the arm brakes about 25 ms later; the robot's own reaction is faster.
         """
-        return self._arms.reaction
+        return self._controlled.reaction
 
     @reaction.setter
     def reaction(self, reaction: ContactReaction | None) -> None:
@@ -149,7 +149,7 @@ class Robot(Commands):
             reading = self._host.read()
             if not (np.isfinite(reading.v).all() and np.isfinite(reading.tau).all()):
                 raise InputError(f"reaction: {self.link.name} measures no speeds and torques, so that it feels no contact")
-        self._arms.reaction = reaction
+        self._controlled.reaction = reaction
 
     @property
     def lost_ticks(self) -> int:

@@ -44,10 +44,10 @@ class RobotMirror:
         """The last reading, of a robot with a tick of dt s."""
         return State(self._past[-1][1], self._v, float(self.data.time), dt, True)
 
-    def is_still(self, joints: slice) -> bool:
-        """Whether the positions of some joints have not changed for a moment."""
+    def is_still(self) -> bool:
+        """Whether the positions of the joints have not changed for a moment."""
         t, q = self._past[-1]
         window = t - self._past[0][0]
         if window < _MIN_REST_WINDOW_S:
             return False
-        return bool(np.abs(q - self._past[0][1])[joints].max() < self._rest_speed * window)
+        return bool(np.abs(q - self._past[0][1]).max() < self._rest_speed * window)

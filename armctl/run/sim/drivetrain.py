@@ -7,7 +7,6 @@ friction that of a `dcmotor` without an input.
 """
 
 import copy
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -57,9 +56,9 @@ class DrivetrainAttributes(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Drivetrain:
-    """Where the motors and the links of some arms are in a plant's model."""
+    """Where the motors and the links of an arm are in a plant's model."""
 
-    actuation: Actuation  # their joints
+    actuation: Actuation  # its joints
     rotors: tuple[int, ...]  # the joints of the rotors that the plant adds
     springs: tuple[int, ...]  # the spring joints of elastic joints of the file
     owners: IntArray  # which of the n joints each rotor, or else each spring, belongs to
@@ -71,7 +70,7 @@ class Drivetrain:
 
     @property
     def extra_joints(self) -> list[int]:
-        """The joints of a plant that are none of the arms'."""
+        """The joints of a plant that are none of the arm's."""
         return [*self.rotors, *self.springs]
 
     def link_positions(self, qpos: Array) -> Array:
@@ -164,10 +163,9 @@ class Drivetrain:
         data.qpos[self.motor_qpos[self.owners]] += stretch
 
 
-def new_model(arms: Sequence[Arm], plant: DrivetrainAttributes) -> mujoco.MjModel:
-    """A model of a plant, without its values: a copy of the arms' model, with rotors, friction and windings if it has any."""
-    arm = arms[0]
-    structure = structure_of(arms, plant)
+def new_model(arm: Arm, plant: DrivetrainAttributes) -> mujoco.MjModel:
+    """A model of a plant, without its values: a copy of the arm's model, with rotors, friction and windings if it has any."""
+    structure = structure_of(arm, plant)
     if not any(structure[0]) and not structure[1] and not structure[2]:
         return copy.copy(arm.model)
     known = _models.get(arm)
@@ -176,7 +174,7 @@ def new_model(arms: Sequence[Arm], plant: DrivetrainAttributes) -> mujoco.MjMode
             raise ModelError(f"{arm.name:.60}: a compiled MjModel cannot get rotors or windings; load the MjSpec or the file")
         if any(structure[0]) and spring_joints(arm.model):
             raise InputError(f"elasticity: the file of {arm.name:.60} has elastic joints already")
-        model = arm.recipe.model(lambda spec: _add_elements(spec, arms, structure))
+        model = arm.recipe.model(lambda spec: _add_elements(spec, arm, structure))
         if model.njnt != arm.model.njnt + sum(structure[0]) or model.names[:1] != arm.model.names[:1]:
             raise ModelError(f"{arm.name:.60}: its file has changed; load it again")
         known = (structure, model)
@@ -184,17 +182,17 @@ def new_model(arms: Sequence[Arm], plant: DrivetrainAttributes) -> mujoco.MjMode
     return copy.copy(known[1])
 
 
-def structure_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Structure:
+def structure_of(arm: Arm, plant: DrivetrainAttributes) -> Structure:
     """What a plant adds to a model: which joints get a rotor, whether there are bristles, and windings."""
-    has_rotor = (per_joint("elasticity", plant.elasticity, arms) > 0.0) | (per_joint("backlash", plant.backlash, arms) > 0.0)
+    has_rotor = (per_joint("elasticity", plant.elasticity, arm) > 0.0) | (per_joint("backlash", plant.backlash, arm) > 0.0)
     return tuple(has_rotor.tolist()), plant.friction == "lugre", plant.motor > 0.0
 
 
-def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrain:
-    """The drivetrain in the models by `new_model`: rotors come after all joints of the arms' model."""
-    model = arms[0].model
-    actuation = arms[0].actuation if len(arms) == 1 else Actuation.concatenated([arm.actuation for arm in arms])
-    has_rotor = np.array(structure_of(arms, plant)[0])
+def drivetrain_of(arm: Arm, plant: DrivetrainAttributes) -> Drivetrain:
+    """The drivetrain in the models by `new_model`: rotors come after all joints of the arm's model."""
+    model = arm.model
+    actuation = arm.actuation
+    has_rotor = np.array(structure_of(arm, plant)[0])
     rotors = np.arange(has_rotor.sum())
     before = spring_joints(model)
     moved = {int(address): i for i, address in enumerate(actuation.qpos_adr)}
@@ -220,13 +218,13 @@ def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrai
     )
 
 
-def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: Sequence[Arm], drivetrain: Drivetrain) -> None:
+def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arm: Arm, drivetrain: Drivetrain) -> None:
     """Gives a model by `new_model` the rotors' inertias, the springs and gaps of a plant, in place; before `mj_setConst`."""
     if not drivetrain.rotors:
         return
     dofs = drivetrain.actuation.dof_adr[drivetrain.owners]
     rotors = drivetrain.motor_dof[drivetrain.owners]
-    given = per_joint("rotor_inertia", plant.rotor_inertia, arms)[drivetrain.owners]
+    given = per_joint("rotor_inertia", plant.rotor_inertia, arm)[drivetrain.owners]
     inertia = np.where(given > 0.0, given, model.dof_armature[dofs])
     if not (inertia > 0.0).all():
         name = drivetrain.actuation.joint_names[drivetrain.owners[int(inertia.argmin())]]
@@ -237,8 +235,8 @@ def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: S
         friction[rotors] = friction[dofs]
         friction[dofs] = 0.0
     tendons = model.ntendon - len(rotors) + np.arange(len(rotors))
-    stiffness = per_joint("elasticity", plant.elasticity, arms)[drivetrain.owners]
-    gap = 0.5 * per_joint("backlash", plant.backlash, arms)[drivetrain.owners]
+    stiffness = per_joint("elasticity", plant.elasticity, arm)[drivetrain.owners]
+    gap = 0.5 * per_joint("backlash", plant.backlash, arm)[drivetrain.owners]
     is_spring = stiffness > 0.0
     both = np.column_stack([-gap, gap])
     model.tendon_stiffness[tendons] = stiffness
@@ -280,38 +278,35 @@ def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, drivet
             set_time_constant(model.actuator(motor), plant.motor)
 
 
-def per_joint(name: str, value: object, arms: Sequence[Arm]) -> Array:
-    """A checked attribute of one number, or of one for each of the n joints of some arms, as (n,)."""
-    n = sum(arm.n for arm in arms)
+def per_joint(name: str, value: object, arm: Arm) -> Array:
+    """A checked attribute of one number, or of one for each of the n joints of an arm, as (n,)."""
     values = np.asarray(value, dtype=np.float64)
-    if values.size not in (1, n):
-        names = ", ".join(arm.name for arm in arms)
-        raise InputError(f"{name}: expected 1 or {n} numbers, got {values.size} ({names:.80})")
-    return np.full(n, values)
+    if values.size not in (1, arm.n):
+        raise InputError(f"{name}: expected 1 or {arm.n} numbers, got {values.size} ({arm.name:.80})")
+    return np.full(arm.n, values)
 
 
-def _add_elements(spec: mujoco.MjSpec, arms: Sequence[Arm], structure: Structure) -> None:
+def _add_elements(spec: mujoco.MjSpec, arm: Arm, structure: Structure) -> None:
     """Adds rotors, bristles and windings to a specification, in place; every number before stays what it was."""
     has_rotor, has_bristles, has_windings = structure
     motors = list(spec.actuators)  # new elements invalidate the numbers of others, but not their order
     flags = iter(has_rotor)
     targets = []
-    for arm in arms:
-        for index, actuator in zip(arm.joint_map.leaders.tolist(), arm.actuation.motor_adr.tolist(), strict=True):
-            target = joint_name(arm.model, arm.joint_map.joints[index])
-            joint = spec.joint(target)
-            motor = motors[actuator]
-            if next(flags):
-                if not (is_on_joint(arm.model, actuator) and motor.target == target):
-                    raise ModelError(f"elasticity: {target:.60} is moved through a tendon or an equality, and can get no rotor")
-                target = f"rotor of {joint.name}"
-                _add_rotor(spec, joint, target)
-                motor.target = target
-            if has_windings and motor.gaintype != mujoco.mjtGain.mjGAIN_DCMOTOR:
-                motor.set_to_dcmotor([1.0, 1.0], 1.0, inductance=[0.0, 1.0], ctrlspec=TORQUE_COMMAND)
-            elif has_windings:
-                set_time_constant(motor, motor.dynprm[0] or 1.0)
-            targets.append(target)
+    for index, actuator in zip(arm.joint_map.leaders.tolist(), arm.actuation.motor_adr.tolist(), strict=True):
+        target = joint_name(arm.model, arm.joint_map.joints[index])
+        joint = spec.joint(target)
+        motor = motors[actuator]
+        if next(flags):
+            if not (is_on_joint(arm.model, actuator) and motor.target == target):
+                raise ModelError(f"elasticity: {target:.60} is moved through a tendon or an equality, and can get no rotor")
+            target = f"rotor of {joint.name}"
+            _add_rotor(spec, joint, target)
+            motor.target = target
+        if has_windings and motor.gaintype != mujoco.mjtGain.mjGAIN_DCMOTOR:
+            motor.set_to_dcmotor([1.0, 1.0], 1.0, inductance=[0.0, 1.0], ctrlspec=TORQUE_COMMAND)
+        elif has_windings:
+            set_time_constant(motor, motor.dynprm[0] or 1.0)
+        targets.append(target)
     for target in targets if has_bristles else []:
         friction = spec.add_actuator(name=f"friction of {target}", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         passive = int(mujoco.mjtCtrlInput.mjINPUT_NONE)

@@ -273,8 +273,8 @@ class Plant:
             ModelError: The arm was loaded as a compiled model, which cannot get further elements.
         """
         instance("arm", arm, Arm, "armctl.load(name) returns one")
-        model = new_model([arm], self)
-        apply_plant(model, mujoco.MjData(model), self, [arm])
+        model = new_model(arm, self)
+        apply_plant(model, mujoco.MjData(model), self, arm)
         brake(model, held_dofs(arm))
         return model
 
@@ -322,18 +322,18 @@ class Brake:
 
 
 def apply_plant(
-    model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm], drivetrain: Drivetrain | None = None
+    model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arm: Arm, drivetrain: Drivetrain | None = None
 ) -> None:
     """Gives a model by `new_model` the differences of a plant, instead of those that it has; no joint is braked then.
 
     A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant; the state in its
-    data is lost. A payload hangs at the first arm's tip. `drivetrain` is the drivetrain of the model, if the caller knows it.
+    data is lost. A payload hangs at the arm's first tip. `drivetrain` is the drivetrain of the model, if the caller knows it.
     """
     for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
-        values = getattr(arms[0].model, name)
+        values = getattr(arm.model, name)
         getattr(model, name)[: len(values)] = values
     for name in _PLANT_OPTIONS:
-        setattr(model.opt, name, getattr(arms[0].model.opt, name))
+        setattr(model.opt, name, getattr(arm.model.opt, name))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if plant.timestep is not None:
         model.opt.timestep = plant.timestep
@@ -341,7 +341,6 @@ def apply_plant(
         model.body_mass *= plant.mass_scale
         model.body_inertia *= plant.mass_scale
     if plant.payload > 0.0:
-        arm = arms[0]
         add_payload(
             model,
             arm.tip_body,
@@ -350,11 +349,11 @@ def apply_plant(
             np.asarray(plant.payload_center, float),
             np.asarray(plant.payload_inertia, float),
         )
-    dofs = np.concatenate([arm.dof_adr for arm in arms])
+    dofs = arm.dof_adr
     for what, column in (("coulomb_friction", model.dof_frictionloss), ("viscous_friction", model.dof_damping)):
-        column[dofs] += per_joint(what, getattr(plant, what), arms)
-    drivetrain = drivetrain_of(arms, plant) if drivetrain is None else drivetrain
-    apply_drivetrain(model, plant, arms, drivetrain)
+        column[dofs] += per_joint(what, getattr(plant, what), arm)
+    drivetrain = drivetrain_of(arm, plant) if drivetrain is None else drivetrain
+    apply_drivetrain(model, plant, arm, drivetrain)
     mujoco.mj_setConst(model, data)
     if plant.continuous:
         damped = np.concatenate([dofs, drivetrain.motor_dof])
@@ -363,8 +362,7 @@ def apply_plant(
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         model.opt.timestep /= math.ceil(model.opt.timestep / step - 1e-9)
     finish_drivetrain(model, plant, drivetrain)
-    for arm in arms:
-        _limit_motors(model, arm)
+    _limit_motors(model, arm)
     _check_history(model)
 
 
@@ -393,24 +391,22 @@ def _check_history(model: mujoco.MjModel) -> None:
         )
 
 
-def held_dofs(*arms: Arm) -> IntArray:
-    """Addresses in `MjData.qvel` of the robot's joints that belong to none of the arms: fingers, other limbs, wheels.
+def held_dofs(arm: Arm) -> IntArray:
+    """Addresses in `MjData.qvel` of the robot's joints outside the arm: fingers, other limbs, wheels.
 
-    Free objects of the scene are not among them, nor the springs of the arms' elastic joints.
+    Free objects of the scene are not among them, nor the springs of the arm's elastic joints.
     """
-    model = arms[0].model
+    model = arm.model
     free = model.jnt_type[model.dof_jntid] == int(mujoco.mjtJoint.mjJNT_FREE)
     has_motor = np.zeros(model.nbody, bool)
-    for arm in arms:
-        has_motor[model.body_rootid[arm.tip_body]] = True
+    has_motor[model.body_rootid[[frame.body for frame in arm.tip_frames]]] = True
     for actuator in range(model.nactuator):
         if is_on_joint(model, actuator):
             has_motor[model.body_rootid[model.jnt_bodyid[model.actuator_trnid[actuator, 0]]]] = True
     of_robot = has_motor[model.body_rootid[model.dof_bodyid]]
-    own = np.concatenate([arm.joint_map.dof_adr for arm in arms])
-    moved = {joint for arm in arms for joint in arm.joint_map.joints}
+    moved = arm.joint_map.joints
     springs = [joint for joint, motor_joint in spring_joints(model).items() if motor_joint in moved]
-    own = np.concatenate([own, model.jnt_dofadr[springs]])
+    own = np.concatenate([arm.joint_map.dof_adr, model.jnt_dofadr[springs]])
     return np.setdiff1d(np.flatnonzero(of_robot & ~free), own)
 
 

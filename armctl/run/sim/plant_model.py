@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,38 +18,38 @@ from armctl.run.sim.plant import Brake, Plant, apply_plant, held_dofs
 
 @dataclass(frozen=True, eq=False)
 class PlantModel:
-    """The MuJoCo model of a plant of some arms, its state, and where their joints and motors are.
+    """The MuJoCo model of a plant of an arm, its state, and where its joints and motors are.
 
-    It keeps no reference to an Arm, so that arms can be forgotten while a simulation waits for the next run.
+    It keeps no reference to the Arm, so that it can be forgotten while a simulation waits for the next run.
     """
 
     plant: Plant
-    structure: Structure  # what the plant adds to the arms' model
+    structure: Structure  # what the plant adds to the arm's model
     model: mujoco.MjModel
     data: mujoco.MjData
     drivetrain: Drivetrain
-    held: IntArray  # addresses in qvel of the joints that belong to none of the arms
+    held: IntArray  # addresses in qvel of the joints outside the arm
     brake: Brake  # of these
-    pushed_arm: _core.ArmModel  # the first one, at whose tip payload and pushes act
+    pushed_arm: _core.ArmModel  # at whose first tip payload and pushes act
     dt: float  # s, the tick
-    continuous: bool  # whether the arms move almost continuously during a tick
+    continuous: bool  # whether the arm moves almost continuously during a tick
     substeps: int  # steps of MuJoCo in a tick
 
     @classmethod
-    def from_arms(cls, arms: Sequence[Arm], plant: Plant, before: PlantModel | None = None) -> PlantModel:
-        """The model of a plant; that of another plant of the same arms becomes it, if it has the same structure."""
-        structure = structure_of(arms, plant)
+    def from_arm(cls, arm: Arm, plant: Plant, before: PlantModel | None = None) -> PlantModel:
+        """The model of a plant; that of another plant of the same arm becomes it, if it has the same structure."""
+        structure = structure_of(arm, plant)
         if before is not None and before.structure == structure:
             model = before.model
             data = before.data
             drivetrain = before.drivetrain
         else:
-            model = new_model(arms, plant)
+            model = new_model(arm, plant)
             data = mujoco.MjData(model)
-            drivetrain = drivetrain_of(arms, plant)
-        apply_plant(model, data, plant, arms, drivetrain)
-        held = held_dofs(*arms) if before is None else before.held
-        dt = arms[0].dt if plant.timestep is None else plant.timestep
+            drivetrain = drivetrain_of(arm, plant)
+        apply_plant(model, data, plant, arm, drivetrain)
+        held = held_dofs(arm) if before is None else before.held
+        dt = arm.dt if plant.timestep is None else plant.timestep
         return cls(
             plant=plant,
             structure=structure,
@@ -59,7 +58,7 @@ class PlantModel:
             drivetrain=drivetrain,
             held=held,
             brake=Brake(model, held),
-            pushed_arm=arms[0].core_model,
+            pushed_arm=arm.core_model,
             dt=dt,
             continuous=bool(model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)),
             substeps=round(dt / model.opt.timestep),
@@ -72,7 +71,7 @@ class PlantModel:
 
     @property
     def actuation(self) -> Actuation:
-        """The driven joints of all arms."""
+        """The driven joints."""
         return self.drivetrain.actuation
 
     @property

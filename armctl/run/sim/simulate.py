@@ -18,7 +18,7 @@ from armctl.core.validation import instance, integer, number
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.run.execution.move import read_controller
 from armctl.run.sim.plant import Plant, read_plant
-from armctl.run.sim.simulated_arms import SimulatedArms
+from armctl.run.sim.simulated_arm import SimulatedArm
 from armctl.run.sim.stepper import Stepper
 
 _Result = TypeVar("_Result")
@@ -67,13 +67,13 @@ def _simulated(
     try:
         stepper = idle.pop()
     except IndexError:
-        stepper = Stepper([arm], plant)
+        stepper = Stepper(arm, plant)
     if stepper.plant is not plant and stepper.plant.key != plant.key:
-        stepper.set_plant(plant, [arm])
+        stepper.set_plant(plant, arm)
     try:
-        arms = SimulatedArms([arm], {arm.tip: law}, stepper)
-        arms.reset(start.q, start.v)
-        return arms.run({arm.tip: trajectory}, dwell, until_rest)[arm.tip]
+        simulated = SimulatedArm(arm, law, stepper)
+        simulated.reset(start.q, start.v)
+        return simulated.run(trajectory, dwell, until_rest)
     finally:
         idle.append(stepper)
         while len(idle) > _IDLE_PER_ARM:

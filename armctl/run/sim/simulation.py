@@ -23,10 +23,10 @@ from armctl.model.loading.load import load
 from armctl.model.mjmodel.queries import has_obstacles
 from armctl.run.execution.commands import Commands
 from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
-from armctl.run.execution.move import read_controller
+from armctl.run.execution.move import RunPurpose, read_controller
 from armctl.run.execution.recorder import ticks_for
 from armctl.run.sim.plant import Plant, read_plant
-from armctl.run.sim.simulated_arms import ConstantTorque, SimulatedArms
+from armctl.run.sim.simulated_arm import ConstantTorque, SimulatedArm
 from armctl.run.sim.stepper import Stepper
 
 if TYPE_CHECKING:
@@ -84,9 +84,9 @@ class Simulation(Commands):
         law = ComputedTorque(arm) if controller is None else read_controller(controller, arm)
         self.plant = read_plant(plant)
         self.viewer = hooks.open_viewer(arm) if flag("viewer", viewer) and hooks.open_viewer is not None else None
-        self._stepper = Stepper([arm], self.plant, self.viewer)
-        self._arms: SimulatedArms = SimulatedArms([arm], {arm.tip: law}, self._stepper)
-        super().__init__(self._arms)
+        self._stepper = Stepper(arm, self.plant, self.viewer)
+        self._controlled: SimulatedArm = SimulatedArm(arm, law, self._stepper)
+        super().__init__(self._controlled)
         self._grippers: dict[str, Gripper] = {}
 
     def __repr__(self) -> str:
@@ -96,22 +96,22 @@ class Simulation(Commands):
     @property
     def controller(self) -> Controller:
         """The controller. It can be replaced between two commands."""
-        return self._arms.controllers[self.arm.tip]
+        return self._controlled.controller
 
     @controller.setter
     def controller(self, controller: Controller | str) -> None:
-        self._arms.controllers[self.arm.tip] = read_controller(controller, self.arm)
+        self._controlled.controller = read_controller(controller, self.arm)
 
     @property
     def reaction(self) -> ContactReaction | None:
         """The reaction to contacts during motions; None for none. It can be replaced between two commands."""
-        return self._arms.reaction
+        return self._controlled.reaction
 
     @reaction.setter
     def reaction(self, reaction: ContactReaction | None) -> None:
         if reaction is not None:
             check_reaction(reaction, self.arm)
-        self._arms.reaction = reaction
+        self._controlled.reaction = reaction
 
     @property
     def measured_state(self) -> State:
@@ -142,7 +142,7 @@ class Simulation(Commands):
         if tip not in self._grippers:
             from armctl.run.sim.gripper.gripper import Gripper
 
-            self._grippers[tip] = Gripper(self.arm, self._stepper, self._arms.hold, tip)
+            self._grippers[tip] = Gripper(self.arm, self._stepper, self._controlled.hold, tip)
         return self._grippers[tip]
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
@@ -157,7 +157,7 @@ class Simulation(Commands):
         """
         for gripper in self._grippers.values():
             gripper.reset()
-        self._arms.reset(q, v)
+        self._controlled.reset(q, v)
 
     def step(self, torque: ArrayLike | None = None) -> State:
         """Simulates one tick and measures, for control loops of the caller, such as MPC, teleoperation or learning.
@@ -173,7 +173,7 @@ class Simulation(Commands):
         Raises:
             SimulationError: The arm diverged, or the controller failed; `error.log` contains the steps until then.
         """
-        return self._arms.step(None if torque is None else vector("torque", torque, self.arm.n))
+        return self._controlled.step(None if torque is None else vector("torque", torque, self.arm.n))
 
     def apply_ctrl(self, ctrl: ArrayLike, duration: float) -> Log:
         """Holds the arm's motors at constant controls, without a controller.
@@ -198,9 +198,10 @@ class Simulation(Commands):
         constant = ConstantTorque(checked * arm.gear)
         duration = number("duration", duration, 0.0)
         nothing = np.full((ticks_for(duration, self.dt), self.arm.n), np.nan)
-        with self._arms.recording({self.arm.tip: duration}, controller=constant) as recorder:
+        with self._controlled.recording(RunPurpose(duration), constant) as recorder:
             self._stepper.run(constant, TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
-        return self._arms.logs[self.arm.tip]
+        assert self.log is not None  # the run is over
+        return self.log
 
     def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
         """As of all commands. With nothing around it, an arm whose links have no shape moves; the result names the links."""

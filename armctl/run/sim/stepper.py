@@ -1,6 +1,5 @@
 """Stepper: the simulated plant of all runs, and its state over time."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
 from threading import Lock
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.failure import ControllerFailure
 from armctl.control.interface import Controller, State, traits
 from armctl.core import hooks
 from armctl.core.defaults import AT_REST_SPEED
@@ -102,9 +100,9 @@ class _RunState:
 
 
 class Stepper:
-    """One or several arms of one model as a simulated plant, and its state over time.
+    """An arm as a simulated plant, and its state over time.
 
-    It keeps no reference to an Arm, so that arms can be forgotten while a stepper waits for the next run. After a run that
+    It keeps no reference to the Arm, so that it can be forgotten while a stepper waits for the next run. After a run that
     `diverged` only `reset` helps.
     """
 
@@ -112,26 +110,25 @@ class Stepper:
     torques = LogTorques.BOTH
     late = 0  # a simulation waits for its references
 
-    def __init__(self, arms: Sequence[Arm], plant: Plant, observer: Observer | None = None):
-        """A stepper of arms that share no joint, at home, at rest. Payload and pushes act at the tip of the first."""
-        for arm in arms:
-            check_driven(arm)
+    def __init__(self, arm: Arm, plant: Plant, observer: Observer | None = None):
+        """A stepper of an arm at home, at rest. Payload and pushes act at its first tip."""
+        check_driven(arm)
         self._observer = observer
         self._one_thread = _OneThread()
-        self._home = np.concatenate([arm.home for arm in arms])
-        self._home_qpos = arms[0].home_qpos
-        self._home_ctrl = arms[0].home_ctrl
+        self._home = arm.home
+        self._home_qpos = arm.home_qpos
+        self._home_ctrl = arm.home_ctrl
         self._references = _References()
-        self._built = PlantModel.from_arms(arms, plant)
-        self._wrench_sensor = WrenchSensor(arms, self._built)
+        self._built = PlantModel.from_arm(arm, plant)
+        self._wrench_sensor = WrenchSensor(arm, self._built)
         self._loop = TickLoop(self._built, self._wrench_sensor)
         self._run = _RunState(self._home, None)
         self.reset()
 
-    def set_plant(self, plant: Plant, arms: Sequence[Arm]) -> None:
-        """Gives the same simulated arms another plant. The state is lost: call `reset` afterwards."""
-        self._built = PlantModel.from_arms(arms, plant, self._built)
-        self._wrench_sensor = WrenchSensor(arms, self._built)
+    def set_plant(self, plant: Plant, arm: Arm) -> None:
+        """Gives the same simulated arm another plant. The state is lost: call `reset` afterwards."""
+        self._built = PlantModel.from_arm(arm, plant, self._built)
+        self._wrench_sensor = WrenchSensor(arm, self._built)
         self._loop = TickLoop(self._built, self._wrench_sensor)
 
     @property
@@ -152,7 +149,7 @@ class Stepper:
 
     @property
     def n(self) -> int:
-        """The number of driven joints of all arms."""
+        """The number of driven joints."""
         return self._built.actuation.n
 
     @property
@@ -189,8 +186,8 @@ class Stepper:
         """Why no motion may start: the state diverged; empty if one may."""
         return f"{self.failure}; call reset() to start again" if self.diverged else ""
 
-    def is_still(self, joints: slice) -> bool:
-        return bool(np.abs(self._built.v[joints]).max() < AT_REST_SPEED)
+    def is_still(self) -> bool:
+        return bool(np.abs(self._built.v).max() < AT_REST_SPEED)
 
     @property
     def q(self) -> Array:
@@ -257,7 +254,7 @@ class Stepper:
         self._run = _RunState(q, disturbances_of(built))
 
     def release(self, dofs: IntArray) -> None:
-        """Releases the brake of joints outside the arms, such as a gripper's, by addresses in qvel; `reset` brakes them."""
+        """Releases the brake of joints outside the arm, such as a gripper's, by addresses in qvel; `reset` brakes them."""
         if self._built.brake.release(dofs):
             self.data.eq_active[:] = self.model.eq_active0
 
@@ -343,14 +340,8 @@ class Stepper:
                 self.failure = f"the controller gave no finite torque at {self.data.time:.3f} s"
 
     def _controller_failed(self, controller: Controller, error: Exception) -> SimulationError:
-        cause: BaseException | None = error
-        whose = ""
-        if isinstance(error, ControllerFailure):
-            cause = error.__cause__
-            controller = error.controller
-            whose = f" of {error.tip!r:.80}" if error.tip else ""
         name = traits(controller).name
-        self.failure = f"the controller {name:.80}{whose} failed at {self.data.time:.3f} s: {cause}"
+        self.failure = f"the controller {name:.80} failed at {self.data.time:.3f} s: {error}"
         return SimulationError(self.failure)
 
     def _repaired(self, time: float) -> None:

@@ -52,10 +52,8 @@ class TickLoop:
         )
 
     def law_of(self, controller: Controller) -> CompiledController | None:
-        """A controller whose compiled law runs the ticks without Python, else None. Such a law gets the wrench on one tip."""
-        if not has_compiled_law(controller, self._built.actuation.n):
-            return None
-        return controller if self._wrench_sensor.arms == 1 or not controller.needs_wrench else None
+        """A controller whose compiled law runs the ticks without Python, else None."""
+        return controller if has_compiled_law(controller, self._built.actuation.n) else None
 
     def run(
         self, controller: Controller, rows: TickRows, last: int, disturbances: Disturbances | None, failed: Failed
@@ -102,8 +100,9 @@ class TickLoop:
         wrench_noise = None
         if own.needs_wrench:
             times = self._built.tick_times(last - first)
-            tips, wrench_noise = self._wrench_sensor.plan(times)
-            arrays |= {"times": times, "wrench_noise": wrench_noise, "wrench_rows": rows.with_wrench(WRENCH_SIZE * len(tips))}
+            tip, wrench_noise = self._wrench_sensor.plan(times)
+            tips = [tip]
+            arrays |= {"times": times, "wrench_noise": wrench_noise, "wrench_rows": rows.with_wrench()}
         end = _core.TickEnd(first)
         try:
             self._loop.run(
@@ -144,7 +143,7 @@ class TickLoop:
         wrenches: Iterable[Array | None] = repeat(None)
         deflections: Iterable[Array | None] = repeat(None)
         if own.needs_wrench:
-            written["wrench_seen_rows"] = np.empty((ticks, WRENCH_SIZE * self._wrench_sensor.arms))
+            written["wrench_seen_rows"] = np.empty((ticks, WRENCH_SIZE))
             wrenches = read_only(written["wrench_seen_rows"])
         if own.needs_deflection:
             written["deflection_seen_rows"] = np.zeros((ticks, 2, n))

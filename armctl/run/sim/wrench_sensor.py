@@ -1,7 +1,5 @@
-"""WrenchSensor: the wrench of the environment on the tips, true or as a plant's sensors measure it."""
+"""WrenchSensor: the wrench of the environment on the tip, true or as a plant's sensors measure it."""
 
-from collections.abc import Sequence
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import mujoco
@@ -29,14 +27,14 @@ class _Site(NamedTuple):
 
 
 class WrenchSensor:
-    """The wrenches on the tips of k arms, (6 k,) N and N m: force first, world axes, at the tip.
+    """The wrench on the first tip of an arm, (6,) N and N m: force first, world axes, at the tip.
 
     A true wrench is the sum of all contacts, connections and pushes on the bodies behind the arm's last joint; an ideal flange
     sensor measures it, with weight and inertia of the tool compensated. MuJoCo computes it during a step: the wrench at a tick
     is that of the previous step.
     """
 
-    def __init__(self, arms: Sequence[Arm], built: PlantModel):
+    def __init__(self, arm: Arm, built: PlantModel):
         plant = built.plant
         model = built.model
         self._built = built
@@ -44,46 +42,40 @@ class WrenchSensor:
         self._model = model
         self._data = built.data
         self._period = (built.dt, built.continuous)
-        self._sites = [_Site(arm.last_bodies[0], arm.tip_body, arm.T_body_tip.position, arm.core_model) for arm in arms]
-        self._ends = list(accumulate(arm.n for arm in arms))
+        self._site = _Site(arm.last_bodies[0], arm.tip_body, arm.T_body_tip.position, arm.core_model)
         self._has_connections = not _CARTESIAN_EQUALITIES.isdisjoint(model.eq_type.tolist())
-        self._noise_scale = np.array(([plant.force_noise] * 3 + [plant.moment_noise] * 3) * len(arms))
+        self._noise_scale = np.array([plant.force_noise] * 3 + [plant.moment_noise] * 3)
         self._has_noise = bool(plant.force_noise or plant.moment_noise)
         self._is_sampled = self._has_noise or bool(plant.wrench_delay) or plant.wrench_source == "torques"
-        self._tips: list[_core.WrenchSensor] = []
+        self._tip: _core.WrenchSensor | None = None
         self._rng: np.random.Generator | None = None  # of a sensor with noise
         self._before: tuple[Any, int] | None = None
-        self.true = np.zeros(WRENCH_SIZE * len(arms))  # the true wrenches at the last call of `read` or `measure`
+        self.true = np.zeros(WRENCH_SIZE)  # the true wrench at the last call of `read` or `measure`
         self.reset()
-
-    @property
-    def arms(self) -> int:
-        return len(self._sites)
 
     def reset(self) -> None:
         """Forgets all measurements and restarts the noise."""
         if self._has_noise:
             self._rng = np.random.default_rng([self._plant.seed, WRENCH_SIZE])
-        for tip in self._tips:
-            tip.reset()
+        if self._tip is not None:
+            self._tip.reset()
 
     def has_measured(self, t: float) -> bool:
         """Whether the measurement at time t, s, is made already."""
-        return bool(self._tips) and self._tips[0].has_measured(t)
+        return self._tip is not None and self._tip.has_measured(t)
 
     def read(self, push: Array | None) -> Array:
-        """The true wrenches now; `push` (6,) is the wrench of the plant's pushes on the first tip, if there are any."""
+        """The true wrench now; `push` (6,) is that of the plant's pushes, if there are any."""
         data = self._data
         self.true = np.zeros(len(self.true))
         if data.ncon or self._has_connections or data.xfrc_applied.any():
-            for k, tip in enumerate(self._sensors()):
-                tip.read(None if k else push, self.true[WRENCH_SIZE * k : WRENCH_SIZE * (k + 1)])
+            self._sensor().read(push, self.true)
         elif push is not None:
-            self.true[:WRENCH_SIZE] += push
+            self.true += push
         return self.true
 
     def measure(self, push: Array | None, q: Array, v: Array, t: float) -> Array:
-        """What the sensors give at this tick, at t s, with noise and delay; q and v, (n,) each, are measured."""
+        """What the sensor gives at this tick, at t s, with noise and delay; q and v, (n,) each, are measured."""
         if not self._is_sampled:
             return self.read(push)
         tau = self._built.motor_torque
@@ -92,37 +84,32 @@ class WrenchSensor:
             noise = self._noise(1)[0]
         self.true = np.empty_like(self.true)
         measured = np.empty_like(self.true)
-        first = 0
-        for k, (tip, last) in enumerate(zip(self._sensors(), self._ends, strict=True)):
-            own = slice(WRENCH_SIZE * k, WRENCH_SIZE * (k + 1))
-            joints = slice(first, last)
-            tip.measure(
-                np.ascontiguousarray(q[joints]),
-                np.ascontiguousarray(v[joints]),
-                np.ascontiguousarray(tau[joints]),
-                t,
-                noise[own],
-                None if k else push,
-                measured[own],
-                self.true[own],
-            )
-            first = last
+        self._sensor().measure(
+            np.ascontiguousarray(q),
+            np.ascontiguousarray(v),
+            np.ascontiguousarray(tau),
+            t,
+            noise,
+            push,
+            measured,
+            self.true,
+        )
         return measured
 
-    def plan(self, times: Array) -> tuple[list[_core.WrenchSensor], Array | None]:
-        """The sensor of each arm for coming ticks of the loop, and their noise (ticks, 6 k) N and N m, or None.
+    def plan(self, times: Array) -> tuple[_core.WrenchSensor, Array | None]:
+        """The sensor for coming ticks of the loop, and its noise (ticks, 6) N and N m, or None.
 
         Call `took` afterwards.
         """
-        sensors = self._sensors()
+        sensor = self._sensor()
         if self._rng is None:
-            return sensors, None
+            return sensor, None
         drawn = len(times) - self.has_measured(times[0])
         self._before = (self._rng.bit_generator.state, drawn)
         noise = self._noise(drawn)
         if drawn < len(times):  # the first tick is measured
             noise = np.concatenate([np.zeros((1, noise.shape[1])), noise])
-        return sensors, noise
+        return sensor, noise
 
     def took(self, noise: Array | None, measured: int) -> None:
         """Notes at how many of the planned ticks the wrench was measured."""
@@ -135,17 +122,18 @@ class WrenchSensor:
             self._noise(used)
 
     def _noise(self, ticks: int) -> Array:
-        """(ticks, 6 k) the noise of the coming ticks."""
+        """(ticks, 6) the noise of the coming ticks."""
         assert self._rng is not None
         return self._noise_scale * self._rng.standard_normal((ticks, len(self._noise_scale)))
 
-    def _sensors(self) -> list[_core.WrenchSensor]:
-        """The sensors of all arms, which are made when the first wrench is asked for: most simulations need none."""
-        if not self._tips:
-            self._tips = [self._sensor(site) for site in self._sites]
-        return self._tips
+    def _sensor(self) -> _core.WrenchSensor:
+        """The sensor, which is made when the first wrench is asked for: most simulations need none."""
+        if self._tip is None:
+            self._tip = self._made()
+        return self._tip
 
-    def _sensor(self, site: _Site) -> _core.WrenchSensor:
+    def _made(self) -> _core.WrenchSensor:
+        site = self._site
         model = self._model
         bodies = [body for body in range(site.last_body, model.nbody) if is_below(model, body, site.last_body)]
         told_by_torques = WRENCH_SIZE if site.arm.n >= _MIN_JOINTS_FOR_MOMENTS else 3

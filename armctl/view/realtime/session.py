@@ -55,7 +55,7 @@ class RealTimeSession:
         self._controller_name = controller
         self._controller: Controller = controller_by_name(controller, arm)
         self._payload = number("payload", payload, 0.0)
-        self._stepper = Stepper([arm], Plant(payload=self._payload))
+        self._stepper = Stepper(arm, Plant(payload=self._payload))
         self._ticks = max(1, round(UPDATE_INTERVAL_S / self._stepper.dt))
         self._interval = self._ticks * self._stepper.dt
         self._follower = TargetFollower(arm, self._stepper.dt, Obstacles(arm, self._stepper.data))
@@ -128,7 +128,7 @@ class RealTimeSession:
     def set_payload(self, payload: float) -> None:
         """Changes the mass at the tip, kg. The controller's model does not include it."""
         payload = number("payload", payload, 0.0)
-        stepper = Stepper([self.arm], Plant(payload=payload))
+        stepper = Stepper(self.arm, Plant(payload=payload))
 
         def change() -> None:
             stepper.reset(self._stepper.state.q, self._stepper.state.v)

@@ -178,9 +178,9 @@ def test_a_move_that_came_to_rest_is_not_undone_by_the_next_reading():
     is_still = robot._drive.is_still
     answers: list[bool] = []
 
-    def once(joints: slice) -> bool:
+    def once() -> bool:
         """Whether the joints rest, as measured; once they did, each later reading is off by a tremor."""
-        answers.append(not any(answers) and is_still(joints))
+        answers.append(not any(answers) and is_still())
         return answers[-1]
 
     robot._drive.is_still = once

@@ -65,7 +65,7 @@ def test_a_retreat_goes_back_and_the_next_move_starts_there():
 
 def test_a_retreat_that_may_not_be_sent_is_none():
     robot = robot_of("retreat", pushes=PUSH)
-    robot._arms._provable = lambda trajectory: None
+    robot._controlled._provable = lambda trajectory: None
     moved = robot.move_j(robot.arm.home + np.array([1.2, 0.3, -0.3]))
     assert moved.reason.startswith("contact at 0.4")
     assert np.abs(np.diff(moved.log.q_ref, axis=0)[-20:]).max() == pytest.approx(0.0, abs=1e-4)

@@ -27,12 +27,12 @@ pytestmark = pytest.mark.core
 
 @pytest.fixture
 def stepper(bundled: armctl.Arm) -> Stepper:
-    return Stepper([bundled], armctl.Plant())
+    return Stepper(bundled, armctl.Plant())
 
 
 def tick_loop(stepper: Stepper, api: _core.MujocoApi | None = None, **changes: object) -> _core.TickLoop:
     arm = armctl.load("robot_arm_3dof")
-    options: dict[str, object] = drivetrain_of([arm], armctl.Plant()).addresses | {
+    options: dict[str, object] = drivetrain_of(arm, armctl.Plant()).addresses | {
         "pushed_arm": arm.core_model,
         "substeps": 1,
         "dt": 0.002,
@@ -58,7 +58,7 @@ def wrench_sensor(stepper: Stepper, **changes: object) -> _core.WrenchSensor:
 
 
 def run(loop: _core.TickLoop, arm: armctl.Arm, ticks: int = 10, **changes: object) -> _core.TickEnd:
-    stepper = Stepper([arm], armctl.Plant())
+    stepper = Stepper(arm, armctl.Plant())
     rows = TickRows(TickReference(*map(np.ascontiguousarray, stepper.reference(Sway(arm), ticks))), stepper.model.nq, arm.n)
     law = changes.pop("law", _core.PD(stiffness=np.full(arm.n, 100.0), damping=np.full(arm.n, 10.0)))
     options = {

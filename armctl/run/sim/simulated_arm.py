@@ -1,9 +1,8 @@
-"""SimulatedArms: arms on a simulated plant, with what only a simulation can do."""
+"""SimulatedArm: an arm on a simulated plant, with what only a simulation can do."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +15,7 @@ from armctl.core.validation import Array, vector
 from armctl.model.arm.arm import Arm
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.run.execution.contact_reaction import ContactReaction
-from armctl.run.execution.move import NO_TARGET, ControlledArms
+from armctl.run.execution.move import ControlledArm, RunPurpose
 from armctl.run.execution.recorder import Recorder, TickRows
 from armctl.run.sim.stepper import Stepper
 
@@ -37,53 +36,50 @@ class ConstantTorque:
         return self.tau
 
 
-class SimulatedArms(ControlledArms):
-    """Arms of one model in one simulation, each with a controller; one arm can react to contacts."""
+class SimulatedArm(ControlledArm):
+    """An arm in a simulation, with a controller; it can react to contacts."""
 
     reaction: ContactReaction | None = None
 
-    def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], stepper: Stepper):
-        super().__init__(arms, controllers, stepper)
+    def __init__(self, arm: Arm, controller: Controller, stepper: Stepper):
+        super().__init__(arm, controller, stepper)
         self.stepper = stepper
         self._steps: _StepRecording | None = None
 
     @property
-    def logs(self) -> dict[str, Log]:
+    def log(self) -> Log | None:
         if self._steps is not None and self._steps.recorder.size != self._steps.logged:
-            self._keep_step_logs(self._steps)
-        return self._logs
+            self._keep_step_log(self._steps)
+        return self._log
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Sets time to 0 and the joints to q and v; home and rest by default. LimitError far outside the limits."""
         if q is not None:
-            q = vector("q", q, self.stepper.n)
-            for tip, arm in self.arms.items():
-                arm.check_units("q", q[self._slices[tip]])
+            q = vector("q", q, self.arm.n)
+            self.arm.check_units("q", q)
         self.stepper.reset(q, v)
         if self._steps is not None:
-            self._logs = self.logs
+            self._log = self.log
             self._steps = None
 
-    def run(self, trajectories: Mapping[str, Trajectory], dwell: float, until_rest: bool = False) -> dict[str, Log]:
+    def run(self, trajectory: Trajectory, dwell: float, until_rest: bool = False) -> Log:
         """As every run. InputError for a planned way that begins elsewhere, LimitError for one far outside the limits."""
-        for tip, trajectory in trajectories.items():
-            check_motion(trajectory, self.arms[tip].joint_names)
-            self._check_start(tip, trajectory)
-            if isinstance(trajectory, JointTrajectory):
-                self._check_end(tip, trajectory)
-        return super().run(trajectories, dwell, until_rest)
+        check_motion(trajectory, self.arm.joint_names)
+        self._check_start(trajectory)
+        if isinstance(trajectory, JointTrajectory):
+            self._check_end(trajectory)
+        return super().run(trajectory, dwell, until_rest)
 
-    def _check_start(self, tip: str, trajectory: Trajectory) -> None:
+    def _check_start(self, trajectory: Trajectory) -> None:
         """Compares the start of a motion with where the arm is, and where its last reference ended."""
-        arm = self.arms[tip]
-        joints = self._slices[tip]
+        arm = self.arm
         start = trajectory(0.0)
         q = np.asarray(start.q, dtype=np.float64)
         arm.check_units("trajectory", q)
         v = np.asarray(start.v, dtype=np.float64)
-        q_now = self.stepper.q[joints]
-        v_now = self.stepper.v[joints]
-        q_ref = self.stepper.q_ref[joints]
+        q_now = self.stepper.q
+        v_now = self.stepper.v
+        q_ref = self.stepper.q_ref
         if (q == q_now).all() and (q == q_ref).all() and (v == v_now).all():  # as after a reset to it
             return
         here = np.stack([q_now, q_ref])
@@ -106,9 +102,9 @@ class SimulatedArms(ControlledArms):
                 f"{v_now[i]:.4g} {arm.units[i]}/s; plan it from the arm's state, or use armctl.simulate",
             )
 
-    def _check_end(self, tip: str, trajectory: JointTrajectory) -> None:
+    def _check_end(self, trajectory: JointTrajectory) -> None:
         """Warns of a motion that ends moving: its reference stops dead."""
-        arm = self.arms[tip]
+        arm = self.arm
         v = np.abs(trajectory(trajectory.duration).v)
         over = v > arm.limits.a_max * self.stepper.dt + START_SPEED_TOLERANCE
         if over.any():
@@ -122,49 +118,47 @@ class SimulatedArms(ControlledArms):
                 stacklevel=4,
             )
 
-    def _run(self, trajectories: Mapping[str, Trajectory], reference: TickReference, recorder: Recorder) -> None:
+    def _run(self, trajectory: Trajectory, reference: TickReference, recorder: Recorder) -> None:
         if self.reaction is None:
-            super()._run(trajectories, reference, recorder)
+            super()._run(trajectory, reference, recorder)
             return
         stepper = self.stepper
-        [trajectory] = trajectories.values()
         contact = self.reaction.run(
-            self._controller, trajectory, reference, recorder, stepper.run, lambda: stepper.motor_torque, stepper.state
+            self.controller, trajectory, reference, recorder, stepper.run, lambda: stepper.motor_torque, stepper.state
         )
         stepper.failure = stepper.failure or contact
 
     def step(self, torque: Array | None) -> State:
-        """The measured state after one tick of a single arm, with a torque or with its controller at the last reference."""
+        """The measured state after one tick, with a torque or with its controller at the last reference."""
         self.resume()
         if self._steps is None:
-            self._logs = {}
+            self._log = None
             self._steps = _StepRecording(self.stepper)
         steps = self._steps
-        controller = self._controller if torque is None else ConstantTorque(torque)
+        controller = self.controller if torque is None else ConstantTorque(torque)
         try:
             self.stepper.step(controller, steps.next_rows(controller, holds=torque is None))
         except BaseException as error:
-            self._keep_step_logs(steps, error)
+            self._keep_step_log(steps, error)
             raise
         return self.stepper.measured_state
 
-    def _check_logs(self) -> None:
+    def _check_log(self, log: Log) -> None:
         """Warns if a link touched something in front of a sensor: its controller knows only a part of the force."""
         self._steps = None
-        for log in self._logs.values():
-            if log.unmeasured_bodies and self.stepper.plant.wrench_source == "flange":
-                bodies = ", ".join(log.unmeasured_bodies)
-                warnings.warn(
-                    f"{log.robot}: the flange sensor does not measure the force on {bodies:.80}, which touched something "
-                    "in front of the sensor; so the true force differs from the measured one",
-                    ArmctlWarning,
-                    stacklevel=2,
-                )
+        if log.unmeasured_bodies and self.stepper.plant.wrench_source == "flange":
+            bodies = ", ".join(log.unmeasured_bodies)
+            warnings.warn(
+                f"{log.robot}: the flange sensor does not measure the force on {bodies:.80}, which touched something "
+                "in front of the sensor; so the true force differs from the measured one",
+                ArmctlWarning,
+                stacklevel=2,
+            )
 
-    def _keep_step_logs(self, steps: _StepRecording, error: BaseException | None = None) -> None:
-        duration = steps.recorder.size * self.stepper.dt
-        info = self._run_info(steps.recorder, " + ".join(steps.controllers), duration, NO_TARGET, error)
-        self._logs = {tip: steps.recorder.log(arm, info) for tip, arm in self.arms.items()}
+    def _keep_step_log(self, steps: _StepRecording, error: BaseException | None = None) -> None:
+        purpose = RunPurpose(steps.recorder.size * self.stepper.dt)
+        info = self._run_info(steps.recorder, " + ".join(steps.controllers), purpose, error)
+        self._log = steps.recorder.log(self.arm, info)
         steps.logged = steps.recorder.size
         self._give_log(error)
 
