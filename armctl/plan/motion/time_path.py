@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import LimitError
+from armctl.core.limits import Limits
 from armctl.model.arm.arm import Arm
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.given_duration import lasting, read_duration
@@ -14,9 +15,10 @@ from armctl.plan.motion.timing.otg import slowed_to_bounds
 from armctl.plan.motion.timing.path_timing import time_optimal
 from armctl.plan.motion.torque_limits import within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.plan.motion.trajectory.limit_check import is_inside
-from armctl.plan.motion.trajectory.piecewise import joints_of
+from armctl.plan.motion.trajectory.limit_check import REST_SPEED, has_continuous_acceleration, is_inside, stretch_needed
+from armctl.plan.motion.trajectory.piecewise import Pieces, joints_of, sample, time_scaled
 
+_SHORT_S = 1e-4  # in which no motion worth timing is possible
 _FINENESS = 8  # of the timing: its path is known, and nothing else takes time
 
 
@@ -61,10 +63,27 @@ def time_path(
     limits = planning.limits
     pieces = time_optimal(given, limits, None, given.knots, _FINENESS)
     free = slowed_to_bounds(joints_of(pieces), (limits.v_max, limits.a_max, limits.j_max))
+    if isinstance(path, JointTrajectory):
+        as_given = _at_one_speed(path.pieces, limits)
+        if as_given is not None and as_given.knots[-1] < free.knots[-1]:
+            free = as_given
     motion = JointTrajectory(*free, arm.joint_names, arm.limits, units=arm.units)
     if not is_inside(free, arm.limits):
         raise LimitError(f"path: {motion.check_limits().violations[0]}; move the path inside the limits")
     return lasting(arm, within_torque(arm, motion), seconds)
+
+
+def _at_one_speed(pieces: Pieces, limits: Limits) -> Pieces | None:
+    """A motion as fast as it can be at one speed; None if it does not rest at its ends, or its acceleration jumps.
+
+    Along a way of micrometers, or of a motion that is time-optimal for each joint, this may be faster than the timing.
+    """
+    states = sample(pieces, pieces.knots[[0, -1]])
+    if max(np.abs(states.v).max(), np.abs(states.a).max()) > REST_SPEED:
+        return None
+    short = time_scaled(pieces, float(pieces.knots[-1]) / _SHORT_S)
+    fastest = time_scaled(short, 1 / stretch_needed(short, (limits.v_max, limits.a_max, limits.j_max)))
+    return fastest if has_continuous_acceleration(fastest, limits) else None
 
 
 def _require_positions(arm: Arm, path: GivenPath) -> None:

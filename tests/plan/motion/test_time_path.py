@@ -123,6 +123,21 @@ def test_a_motion_that_is_given_is_sped_up_on_its_path_and_a_pause_in_it_is_refu
         armctl.time_path(arm, slow.then(armctl.move_j(arm, there, back, speed=0.2)))
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-3, 1e-5])
+def test_a_motion_that_is_given_is_never_slower_than_before(light, size):
+    """Also where the whole way is micrometers, and where every joint's own profile is the fastest."""
+    arm = with_bounds(light, 1.0, 4.0, 100.0)
+    for motion in (
+        armctl.move_j(arm, np.zeros(N), size * np.array([0.5, 0.2, 0.1]), straight=False),
+        armctl.move_through(arm, size * np.random.default_rng(1).uniform(-1, 1, (4, N))),
+        armctl.move_j(arm, np.zeros(N), size * np.array([0.5, 0.2, 0.1]), profile="quintic", duration=4.0),
+    ):
+        timed = armctl.time_path(arm, motion)
+        assert timed.duration <= motion.duration * (1 + 1e-6)
+        assert timed.check_limits().ok
+        assert not violation(timed, arm.limits)
+
+
 def test_speed_is_that_of_every_other_motion(light):
     arm = with_bounds(light, 1.5, 8.0, 200.0)
     spline = random_spline(arm, 3)

@@ -155,6 +155,11 @@ def _acceleration_jumps(pieces: Pieces, limits: Limits) -> Array:
     return np.where(np.abs(jumps) > _JUMP_TOLERANCE * scale, np.copysign(np.inf, jumps), 0.0).T
 
 
+def has_continuous_acceleration(pieces: Pieces, limits: Limits) -> bool:
+    """Whether the acceleration does not jump from piece to piece, by more than rounding."""
+    return not _acceleration_jumps(pieces, limits).any()
+
+
 def is_inside(pieces: Pieces, limits: Limits) -> bool:
     """`check_limits(...).ok`, without the report, for motions whose acceleration does not jump."""
     return bool(each_inside(pieces.coefficients, np.diff(pieces.knots), limits).all())
