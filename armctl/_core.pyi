@@ -90,6 +90,9 @@ class CollisionModel:
         A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.
         """
 
+    def with_loops(self, loops: LoopClosure) -> CollisionModel:
+        """The same of an arm with closed loops."""
+
 class PairDistance:
     """A pair and its distance."""
 
@@ -137,7 +140,7 @@ class CollisionScene:
 
     def near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> list[NearPair]:
         """
-        The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is
+        The pairs that moves (m,) of all joints, or with closed loops (n,), from q (n,) can bring nearer by more than a share of what is free, which is
         their distance less their clearance (K,).
         """
 
@@ -148,7 +151,9 @@ class Hit:
 
     @property
     def pair(self) -> int:
-        """Its row; the number of pairs says that the kept axis tilts."""
+        """
+        Its row; the number of pairs says that the kept axis tilts, the next that loops do not close.
+        """
 
     @property
     def time(self) -> float:
@@ -187,8 +192,8 @@ class ClearanceProof:
 
     def set_motion(self, knots: numpy.ndarray, coefficients: numpy.ndarray) -> None:
         """
-        Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints by powers of the
-        time since the knot, of degree 1 to 5.
+        Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints, or with closed
+        loops of the n driven ones, by powers of the time since the knot, of degree 1 to 5.
         """
 
     def hit(self, clearance: float, pair: int | None = None) -> Hit | None:
@@ -199,6 +204,53 @@ class ClearanceProof:
 
     def closest_approach(self, clearance: float) -> Approach:
         """Proves it, and how near the motion comes."""
+
+class LoopClosure:
+    """Closed loops of an arm: where its passive joints are. Immutable."""
+
+    def __init__(
+        self,
+        *,
+        reference: numpy.ndarray,
+        reference_q: numpy.ndarray,
+        rotations: numpy.ndarray,
+        translations: numpy.ndarray,
+        slides: numpy.ndarray,
+        parents: numpy.ndarray,
+        offsets: numpy.ndarray,
+        low: numpy.ndarray,
+        high: numpy.ndarray,
+        length: float,
+        ratio: numpy.ndarray,
+        passive: numpy.ndarray,
+        first_joints: numpy.ndarray,
+        second_joints: numpy.ndarray,
+        first_placements: numpy.ndarray,
+        second_placements: numpy.ndarray,
+        holds_axes: numpy.ndarray,
+        followers: numpy.ndarray,
+        leaders: numpy.ndarray,
+        terms: numpy.ndarray,
+    ) -> None:
+        """
+        Loops from arrays for each joint, loop and pair of tied joints; armctl/cpp/loop_closure.hpp explains them.
+        """
+
+def first_break(closure: LoopClosure, knots: numpy.ndarray, coefficients: numpy.ndarray) -> float | None:
+    """
+    The first time, s, at which loops are not proved to stay closed with passive joints inside their limits, in a motion of the n
+    driven joints with coefficients (K, degree + 1, n) by powers of the time since the knots (K + 1,) s; None if they are.
+    """
+
+def close_loops(closure: LoopClosure, q: numpy.ndarray, positions: numpy.ndarray, ratios: numpy.ndarray) -> int:
+    """
+    Fills the positions (T, m) of all joints, and their speeds per speed of the driven ones (T, m n), at q (T, n). Returns at which row the loops do not close; T if they do everywhere.
+    """
+
+def loop_accelerations(closure: LoopClosure, q: numpy.ndarray, v: numpy.ndarray, accelerations: numpy.ndarray) -> None:
+    """
+    Fills the accelerations (T, m) of all joints at speeds v (T, n) of the driven ones whose own accelerations are zero.
+    """
 
 class ArmModel:
     """The model of an arm: a tree of links. Immutable."""
@@ -242,6 +294,14 @@ class ArmModel:
     def for_period(self, dt: float, continuous: bool) -> ArmModel:
         """
         The model for a control period, s: one step of MuJoCo, or a continuous motion. dt = 0 is continuous time.
+        """
+
+    def with_loops(
+        self, loops: LoopClosure, damping: numpy.ndarray, friction: numpy.ndarray, armature: numpy.ndarray
+    ) -> ArmModel:
+        """
+        The same arm with closed loops, and the damping (m, 3), dry friction (m, 3: loss, gain, rate) and armature (m,) of its
+        passive joints, zero for others.
         """
 
 def inverse_dynamics(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, tau: numpy.ndarray) -> None:

@@ -1,6 +1,6 @@
 """Whole robots: two hands, feet that stay, fingertips, bases that move, beside mink in the same run; MuJoCo judges.
 
-    python benchmarks/whole.py [--targets 1000] [--steps 40000] [--out benchmarks/results/whole.md]
+    python benchmarks/whole.py [--targets 1000] [--steps 40000] [--motions 100] [--out benchmarks/results/whole.md]
 
 The first table: targets for all tips of a robot at once, each of a random configuration inside the joint limits, from a random
 start; poses where each chain has six joints or more of its own, else points. Solved: each tip within 1e-5 m and 1e-4 rad by
@@ -10,6 +10,8 @@ The second: steps of 5 ms of differential inverse kinematics on a humanoid whose
 feet stay. mink has the feet as tasks with the weights of its own example for this robot, and once as equalities. Times are
 medians of the public calls. The targets jump every two seconds, a third of them far out of reach. Steps that exceed a limit
 count from 1e-9 on, relative; mink has no limit of acceleration. Where its program has no solution, the robot stands still.
+
+The third: motions between random configurations of arms with closed loops, each setpoint judged by MuJoCo's constraints.
 """
 
 from __future__ import annotations
@@ -35,6 +37,10 @@ FEET = ("left_ankle_link", "right_ankle_link")
 DT = 0.005
 POSITION_TOLERANCE = 1e-5  # m
 ANGLE_TOLERANCE = 1.1e-4  # rad
+LOOPS = (
+    ("parallel link arm", Path(__file__).parents[1] / "examples/models/parallel_link_arm.xml", None),
+    ("gripper of the xArm 7", "ufactory_xarm7/hand", "left_finger"),
+)
 SLIP = 1e-6  # m: a foot that is farther off has left its place
 
 
@@ -180,10 +186,45 @@ def follow_with_mink(steps: int, *, exactly: bool) -> list[str]:
     return seen.row(f"mink {version('mink')}, feet as {'equalities' if exactly else 'tasks'}")
 
 
+def loop_row(name: str, path: Path | str, tip: str | None, count: int) -> list[str]:
+    """Motions of an arm with closed loops: how far these are open at the setpoints of 100 Hz, by MuJoCo's constraints."""
+    arm = armctl.load(path, tip=tip)
+    rng = np.random.default_rng(0)
+    data = mujoco.MjData(arm.model)
+    times, gaps = [], []
+    start, done = arm.home, 0
+    while done < count:
+        goal = arm.limits.random(arm.home, 1, rng)[0]
+        try:
+            begin = time.perf_counter()
+            motion = armctl.move_j(arm, start, goal)
+            times.append(time.perf_counter() - begin)
+        except (armctl.LimitError, armctl.PlanError):  # a passive joint would leave its limits
+            continue
+        for q in motion.sample(np.arange(0.0, motion.duration, 0.01)).q:
+            data.qpos[:] = arm.qpos(q)
+            mujoco.mj_fwdPosition(arm.model, data)
+            gaps.append(np.abs(data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]).max())
+        start, done = goal, done + 1
+    targets = [arm.fk(q) for q in arm.joint_map.closure.inward(arm.home, arm.limits.random(arm.home, count, rng))]
+    solved = sum(bool(armctl.solve_ik(arm, target)) for target in targets)
+    joints = f"{arm.n} driven, {len(arm.joint_map.closure.passive)} passive"
+    return [
+        name,
+        joints,
+        str(count),
+        str(len(gaps)),
+        f"{max(gaps):.1g} m",
+        f"{1e3 * np.median(times):.1f} ms",
+        f"{solved} of {count}",
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--targets", type=int, default=1000, help="of each robot")
     parser.add_argument("--steps", type=int, default=40_000, help="of differential inverse kinematics")
+    parser.add_argument("--motions", type=int, default=100, help="of each arm with closed loops")
     parser.add_argument("--out", type=Path, help="a Markdown file for the tables")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
@@ -192,7 +233,11 @@ def main() -> None:
     rows = [follow_with_armctl(args.steps), *(follow_with_mink(args.steps, exactly=exactly) for exactly in (False, True))]
     columns = ["", "a step", "feet: at most, steps off by 1 um", "position", "speed", "acceleration", "no solution"]
     followed = markdown_table(columns, rows)
+    rows = [loop_row(*each, args.motions) for each in LOOPS]
+    columns = ["", "joints", "motions", "setpoints", "loops open by at most", "to plan a motion", "poses solved"]
+    closed = markdown_table(columns, rows)
     text = f"{solved}\n\n{args.steps} steps of a humanoid with 25 joints; steps that exceed a limit:\n\n{followed}\n"
+    text += f"\nMotions of arms with closed loops:\n\n{closed}\n"
     print(text)
     if args.out is not None:
         args.out.write_text(text)

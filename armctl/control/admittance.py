@@ -12,7 +12,7 @@ from armctl.control.task_space import POSE_SIZE
 from armctl.core.defaults import DEFAULT_BANDWIDTH
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
-from armctl.model.arm.dynamics import Dynamics
+from armctl.model.arm.dynamics import make_dynamics
 
 YIELDING_BANDWIDTH = 10.0  # rad/s, of the default mass on the default spring
 # The default mass is this multiple of the effective one. A mass below the real one bounces on stiff walls.
@@ -86,7 +86,7 @@ class Admittance(ArmController):
 def _inertia_at_home(arm: Arm) -> Array:
     """(6,) kg and kg m^2, of the tip in the most mobile direction; 1 where it cannot move."""
     J = arm.pinocchio_model.jacobian(arm.home)
-    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    dynamics = make_dynamics(arm.model, arm.pinocchio_model)
     mobility = J @ np.linalg.solve(dynamics.mass_matrix(arm.home), J.T)
     largest = np.repeat([np.linalg.eigvalsh(mobility[rows, rows]).max() for rows in (slice(0, 3), slice(3, 6))], 3)
     return 1 / np.where(largest > 0.0, largest, 1.0)

@@ -16,7 +16,7 @@ from armctl.core.errors import InputError, ModelError
 from armctl.core.limits import smallest_configuration
 from armctl.core.validation import Array, IntArray, frozen, number, vector
 from armctl.model.arm.arm import Arm
-from armctl.model.arm.dynamics import Dynamics
+from armctl.model.arm.dynamics import Dynamics, make_dynamics
 
 SAMPLED_CONFIGURATIONS = 64
 _DESIGN_SEED = 0  # of these; `armctl.margins` judges controllers at others
@@ -84,9 +84,11 @@ def sampled_inertia(arm: Arm) -> SampledInertia:
     found = _sampled.get(arm)
     if found is not None:
         return found
-    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    dynamics = make_dynamics(arm.model, arm.pinocchio_model)
     rng = np.random.default_rng(_DESIGN_SEED)
-    configurations = np.vstack([arm.home, arm.limits.random(arm.limits.clamp(arm.home), SAMPLED_CONFIGURATIONS, rng)])
+    drawn = arm.limits.random(arm.limits.clamp(arm.home), SAMPLED_CONFIGURATIONS, rng)
+    closure = arm.joint_map.closure
+    configurations = np.vstack([arm.home, drawn if closure is None else closure.inward(arm.home, drawn)])
     try:
         configurations = np.vstack([configurations, _extreme_configurations(arm, dynamics, configurations, rng)])
         mass = np.array([dynamics.mass_matrix(q) for q in configurations])
@@ -117,7 +119,11 @@ def _extreme_configurations(arm: Arm, dynamics: Dynamics, sampled: Array, rng: n
     free = 1 / np.diagonal(np.linalg.inv(mass), axis1=1, axis2=2)
     root = _damping_scale(free, np.diagonal(mass, axis1=1, axis2=2)) ** 0.5
 
+    closure = arm.joint_map.closure
+
     def rates(q: Array) -> Array:
+        if closure is not None and closure.first_refusal(q[None])[1]:
+            return np.array([np.inf, -np.inf])  # where closed loops do not close is no extreme
         inverses = np.linalg.eigvalsh(dynamics.mass_matrix(q) / np.outer(root, root))
         return np.asarray(inverses, dtype=np.float64)
 
@@ -380,9 +386,12 @@ def _extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) 
     if not extra.any():
         return extra
     root = np.sqrt(extra)
-    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    dynamics = make_dynamics(arm.model, arm.pinocchio_model)
+    closure = arm.joint_map.closure
 
     def largest(q: Array) -> float:
+        if closure is not None and closure.first_refusal(q[None])[1]:
+            return -np.inf
         return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(dynamics.mass_matrix(q)) * root)[-1])
 
     sampled = sampled_inertia(arm)

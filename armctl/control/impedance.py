@@ -16,7 +16,7 @@ from armctl.control.task_space import POSE_SIZE, consistent_inverse
 from armctl.core.defaults import IMPEDANCE_BANDWIDTH
 from armctl.core.validation import Array, frozen, number, vector
 from armctl.model.arm.arm import Arm
-from armctl.model.arm.dynamics import Dynamics
+from armctl.model.arm.dynamics import Dynamics, make_dynamics
 
 
 class Impedance(ArmController):
@@ -61,7 +61,7 @@ class Impedance(ArmController):
         super().__init__(arm)
         bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
         self.damping_ratio = damping_ratio
-        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
+        self._dynamics = make_dynamics(arm.model, arm.pinocchio_model)
         inertia = _min_inertia(arm, self._dynamics)
         self.stiffness = bandwidth**2 * inertia.tip if stiffness is None else stiffness
         self.error_max = np.inf if error_max is None else error_max

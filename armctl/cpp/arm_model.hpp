@@ -4,6 +4,7 @@
 
 #include "errors.hpp"
 #include "linear_algebra.hpp"
+#include "loop_closure.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
@@ -48,6 +49,13 @@ struct DryFriction {
     double rate = 0.0;
 
     double torque(double v, double a) const { return std::clamp(gain * (a + rate * v), -loss, loss); }
+};
+
+// What acts on a passive joint of a closed loop, which no motor drives.
+struct PassiveJoint {
+    double armature = 0.0;
+    Polynomial damping;
+    DryFriction friction;
 };
 
 // What acts on one of the arm's n.
@@ -96,6 +104,17 @@ struct ArmModel {
         return model;
     }
 
+    // The same arm with closed loops; `passive_joints` (m,) are zero for driven ones.
+    ArmModel with_loops(Closure loops, std::vector<PassiveJoint> passive_joints) const {
+        if (loops->m() != joints.size() || loops->n() != drives.size()) { throw InputError("loops: they are those of another arm"); }
+        require_size(passive_joints, joints.size(), "passive_joints");
+        ArmModel model = *this;
+        model.closure = std::move(loops);
+        model.passive = std::move(passive_joints);
+        model.has_friction |= std::ranges::any_of(model.passive, [](const PassiveJoint& joint) { return joint.friction.loss != 0.0; });
+        return model;
+    }
+
     size_t n() const { return drives.size(); }
     // Linear damping that is evaluated at the end of the period, times the period: it acts as an additional inertia, kg m^2. So it
     // is in estimates of continuous motion, too: evaluated in the middle, large damping would let the velocity alternate.
@@ -107,6 +126,8 @@ struct ArmModel {
     size_t chain_length = 0;
     Vec3 gravity;
     Pose T_last_tip;
+    Closure closure;                    // of closed loops; none in a tree
+    std::vector<PassiveJoint> passive;  // of closed loops, (m,)
 
     bool is_plain = false;  // no joint follows another
     bool has_lift = false;

@@ -5,6 +5,7 @@
 
 #include "collision_scene.hpp"
 #include "errors.hpp"
+#include "loop_motion.hpp"
 #include "spans.hpp"
 
 namespace armctl {
@@ -17,61 +18,9 @@ constexpr double COARSE_MOTION = 0.8;  // of the size of the moving geom: while 
 constexpr double MIN_TILT_RAD = 1e-4;  // an interval in which the axis turns by less is not split again: it then counts as tilted
 constexpr double RESOLUTION_M = 2e-4;  // of the closest approach: between the proved bound and a distance that is attained
 constexpr double SETTLED_M = 1e-7;     // A bound that is so near to the clearance is taken for it
-constexpr double UNIT_KNOTS[] = {0.0, 1.0};
 
-// A motion of all joints by polynomials of time, of degree 1 to 5.
-class PolynomialMotion {
-public:
-    static constexpr size_t MAX_DEGREE = 5;
-
-    // `coefficients` (pieces, degree + 1, m), by powers of the time since the knot of the piece, row by row; `knots` (pieces + 1,)
-    // s.
-    void set(Vector knots, Vector coefficients, size_t joints) {
-        if (knots.size() < 2) { throw InputError("knots: need at least two"); }
-        joints_ = joints;
-        powers_ = joints > 0 ? coefficients.size() / ((knots.size() - 1) * joints) : 2;
-        if (powers_ < 2 || powers_ > MAX_DEGREE + 1) { throw InputError("coefficients: need polynomials of degree 1 to 5"); }
-        knots_.assign(knots.begin(), knots.end());
-        coefficients_.assign(coefficients.begin(), coefficients.end());
-    }
-
-    // The straight line of all joints, (m,), in the time from 0 to 1.
-    void set_line(Vector start, Vector end) {
-        std::vector<double> coefficients(start.begin(), start.end());
-        for (size_t i = 0; i < start.size(); ++i) { coefficients.push_back(end[i] - start[i]); }
-        set(UNIT_KNOTS, coefficients, start.size());
-    }
-
-    size_t pieces() const { return knots_.size() - 1; }
-    double knot(size_t index) const { return knots_[index]; }
-    double length(size_t piece) const { return knots_[piece + 1] - knots_[piece]; }
-
-    // The positions (m,) in the middle of an interval of one piece, and how far each joint leaves them at most. Times count from
-    // the piece's knot.
-    //
-    // The sum of |derivative k / k!| half^k; these Taylor coefficients at the middle come from repeated synthetic division (the
-    // Horner scheme).
-    void bound(size_t piece, double middle, double half, Result positions, Result delta) const {
-        std::array<double, MAX_DEGREE + 1> taylor{};
-        for (size_t i = 0; i < joints_; ++i) {
-            for (size_t k = 0; k < powers_; ++k) { taylor[k] = coefficients_[(piece * powers_ + k) * joints_ + i]; }
-            for (size_t first = 0; first + 1 < powers_; ++first) {
-                for (size_t k = powers_ - 1; k-- > first;) { taylor[k] += middle * taylor[k + 1]; }
-            }
-            positions[i] = taylor[0];
-            delta[i] = 0.0;
-            for (size_t k = powers_ - 1; k > 0; --k) { delta[i] = half * (std::abs(taylor[k]) + delta[i]); }
-        }
-    }
-
-private:
-    std::vector<double> knots_;
-    std::vector<double> coefficients_;
-    size_t powers_ = 2;
-    size_t joints_ = 0;
-};
-
-// Where a motion is not known to be free. The number behind the last pair says that the kept axis tilts.
+// Where a motion is not known to be free. The number behind the last pair says that the kept axis tilts, the next one that closed loops
+// cannot be closed.
 struct Hit {
     size_t pair;
     double time;  // s
@@ -90,8 +39,24 @@ inline double min_motion(double clearance) { return clearance > 0.0 ? std::min(M
 class ClearanceProof {
 public:
     explicit ClearanceProof(std::shared_ptr<CollisionScene> scene)
-        : scene_(std::move(scene)), positions_(scene_->model().joints()), delta_(scene_->model().joints()) {
-        motion_.set_line(positions_, positions_);
+        : scene_(std::move(scene)), positions_(scene_->model().joints()), delta_(scene_->model().joints()),
+          interval_(scene_->model().n()) {
+        const Numbers zero(moving());
+        motion_.set_line(zero, zero);
+    }
+
+    // How many numbers a motion has at each time: those of all joints, or with closed loops of the driven ones.
+    size_t moving() const { return scene_->model().closure ? scene_->model().n() : scene_->model().joints(); }
+
+    // Takes the straight line between two configurations (n,) as the motion.
+    void set_line(Vector start, Vector end) {
+        if (scene_->model().closure) {
+            motion_.set_line(start, end);
+            return;
+        }
+        scene_->find_positions(start, positions_);
+        scene_->find_positions(end, delta_);
+        motion_.set_line(positions_, delta_);
     }
 
     CollisionScene& scene() { return *scene_; }
@@ -115,7 +80,7 @@ public:
     // proof stops, a smaller distance is found, and the proof goes on with that one: what is settled so far stays settled.
     Approach closest_approach(double clearance) {
         double when = motion_.knot(0);
-        motion_.bound(0, 0.0, 0.0, positions_, delta_);
+        place_in(0, 0.0, 0.0);
         PairDistance least = scene_->nearest_pair(positions_);
         begin_proof(std::nullopt);
         double aim = least.distance;
@@ -124,7 +89,7 @@ public:
             if (bound - clearance < SETTLED_M) { bound = clearance; }
             const std::optional<Hit> stopped = continue_proof(bound);
             if (!stopped) { return {bound, least.distance, {least.pair, when}}; }
-            if (stopped->pair == scene_->no_pair()) { return {-1.0, least.distance, *stopped}; }
+            if (stopped->pair >= scene_->no_pair()) { return {-1.0, least.distance, *stopped}; }
             const PairDistance now = scene_->nearest_pair(positions_);
             if (bound == clearance) { return {-1.0, now.distance, {now.pair, stopped->time}}; }
             aim -= 0.5 * (aim - bound);  // a proof stops this near to its bound, or because GJK did not converge
@@ -149,6 +114,20 @@ private:
     // What is known of a pair, or of the kept axis, in an interval.
     enum class Verdict { free, open, not_free };
 
+    // Finds where all joints are in the middle of an interval of a piece, and how far they leave it at most; with closed loops also
+    // whether these stay closed, with passive joints inside their limits.
+    Verdict place_in(size_t piece, double begin, double end) {
+        if (!scene_->loops()) {
+            motion_.bound(piece, 0.5 * (begin + end), 0.5 * (end - begin), positions_, delta_);
+            return Verdict::free;
+        }
+        switch (interval_.bound(motion_, *scene_->loops(), {piece, begin, end}, positions_, delta_)) {
+            case LoopVerdict::broken: return Verdict::not_free;
+            case LoopVerdict::open: return Verdict::open;
+            default: return Verdict::free;
+        }
+    }
+
     // Notes all pieces of the motion as the first intervals.
     void begin_proof(std::optional<size_t> only_pair) {
         std::vector<size_t> pairs(only_pair ? 1 : scene_->model().pairs.size());
@@ -168,7 +147,8 @@ private:
             const auto [piece, begin, end, inherited] = waiting_.front();
             const double middle = 0.5 * (begin + end);
             const double time = motion_.knot(piece) + middle;
-            motion_.bound(piece, middle, 0.5 * (end - begin), positions_, delta_);
+            const Verdict closure = place_in(piece, begin, end);
+            if (closure == Verdict::not_free) { return Hit{scene_->no_pair() + 1, time}; }
             if (++checked_ > MAX_INTERVALS + MAX_INTERVALS_PER_PIECE * motion_.pieces()) {
                 return Hit{scene_->nearest_pair(positions_).pair, time};
             }
@@ -183,7 +163,7 @@ private:
             const Verdict tilt = keep_ ? check_tilt() : Verdict::free;
             if (tilt == Verdict::not_free) { return Hit{scene_->no_pair(), time}; }
             waiting_.pop_front();
-            if (open_pairs.empty() && tilt == Verdict::free) { continue; }
+            if (open_pairs.empty() && tilt == Verdict::free && closure == Verdict::free) { continue; }
             const auto open = std::make_shared<const std::vector<size_t>>(std::move(open_pairs));
             waiting_.push_back({piece, begin, middle, open});
             waiting_.push_back({piece, middle, end, open});
@@ -237,6 +217,7 @@ private:
     // The middle of the interval in hand, (m,), and how far each joint leaves it at most.
     std::vector<double> positions_;
     std::vector<double> delta_;
+    LoopInterval interval_;
 };
 
 }  // namespace armctl

@@ -6,6 +6,7 @@
 #include "convex.hpp"
 #include "errors.hpp"
 #include "linear_algebra.hpp"
+#include "loop_closure.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
@@ -61,34 +62,35 @@ public:
         }
     }
 
+    // The same of an arm with closed loops.
+    CollisionModel with_loops(Closure loops) const {
+        if (loops->m() != joints() || loops->n() != n()) { throw InputError("loops: they are those of another arm"); }
+        CollisionModel model = *this;
+        model.closure = std::move(loops);
+        return model;
+    }
+
     size_t joints() const { return frames.size() - 1; }
     size_t n() const { return ratio_.columns(); }
 
-    // The positions of all joints that move, (m,), at q (n,).
+    // The positions of all joints that move, (m,), at q (n,), in a tree.
     void positions(Vector q, Result all) const {
         for (size_t i = 0; i < all.size(); ++i) {
             double position = joint_offset_[i];
-            for (size_t j = 0; j < q.size(); ++j) { position += ratio(i, j) * q[j]; }
+            for (size_t j = 0; j < q.size(); ++j) { position += ratio_(i, j) * q[j]; }
             all[i] = position;
         }
     }
 
-    // The derivatives by the n of what has derivatives (m,) by all joints.
-    Numbers reduced_gradient(Vector all) const {
-        Numbers gradient(n());
-        for (size_t j = 0; j < n(); ++j) {
-            for (size_t i = 0; i < all.size(); ++i) { gradient[j] += all[i] * ratio(i, j); }
-        }
-        return gradient;
-    }
-
-    double ratio(size_t joint, size_t i) const { return ratio_(joint, i); }
+    // The positions of the joints per position of the n, (m, n), in a tree.
+    const Mat& ratio() const { return ratio_; }
 
     std::vector<MovingFrame> frames;
     Vertices vertices;
     std::vector<Geom> geoms;
     std::vector<CollisionPair> pairs;
     std::vector<Vec3> directions;  // in which the depth of an overlap is measured first
+    Closure closure;               // of closed loops; none in a tree
 
 private:
     void check_vertices() const {

@@ -4,9 +4,11 @@
 // difference; it does not rely on convergence, so every proof of clearance rests on it.
 #pragma once
 #include <memory>
+#include <optional>
 
 #include "collision_model.hpp"
 #include "gjk.hpp"
+#include "loop_bounds.hpp"
 #include "spans.hpp"
 #include "vectors.hpp"
 
@@ -64,11 +66,36 @@ class CollisionScene {
 public:
     explicit CollisionScene(std::shared_ptr<const CollisionModel> model)
         : model_(std::move(model)), frames_(model_->frames.size()), centers_(model_->geoms.size()),
-          motions_(model_->geoms.size(), model_->frames.size()) {}
+          motions_(model_->geoms.size(), model_->frames.size()) {
+        if (model_->closure) { loops_.emplace(model_->closure); }
+    }
 
     const CollisionModel& model() const { return *model_; }
     // What stands for no pair.
     size_t no_pair() const { return model_->pairs.size(); }
+
+    // The positions of all joints, (m,), at q (n,); closed loops that do not close there are where they last do on the way.
+    void find_positions(Vector q, Result all) {
+        if (!loops_) {
+            model_->positions(q, all);
+            return;
+        }
+        loops_->close(q);
+        copy(loops_->positions(), all);
+    }
+
+    // The derivatives by the n of what has derivatives (m,) by all joints, where `find_positions` has found them last.
+    Numbers reduced_gradient(Vector all) const {
+        const Mat& ratio = loops_ ? loops_->ratio() : model_->ratio();
+        Numbers gradient(model_->n());
+        for (size_t j = 0; j < gradient.size(); ++j) {
+            for (size_t i = 0; i < all.size(); ++i) { gradient[j] += all[i] * ratio(i, j); }
+        }
+        return gradient;
+    }
+
+    // The closed loops; none in a tree.
+    std::optional<BoundedLoops>& loops() { return loops_; }
 
     // Places all frames and bounding spheres at the positions of all joints, (m,) rad.
     void place(Vector positions) {
@@ -137,7 +164,7 @@ public:
             double approach = 0.0;
             for (size_t j = 0; j < gradient.size(); ++j) { approach += std::abs(gradient[j]) * delta[j]; }
             if (share * (nearest.distance - clearances[p]) < approach) {
-                near.push_back({p, nearest.distance, model_->reduced_gradient(gradient)});
+                near.push_back({p, nearest.distance, reduced_gradient(gradient)});
             }
         }
         return near;
@@ -386,6 +413,7 @@ private:
     std::vector<PlacedFrame> frames_;
     std::vector<Vec3> centers_;  // of the bounding spheres of the geoms
     Mat motions_;                // of each geom, as each frame above it sees it
+    std::optional<BoundedLoops> loops_;
 };
 
 }  // namespace armctl

@@ -4,6 +4,8 @@
 //
 // Sources: Featherstone, Rigid Body Dynamics Algorithms (2008): recursive Newton-Euler (5.3), composite rigid bodies (6.2).
 #pragma once
+#include <optional>
+
 #include "arm_model.hpp"
 
 namespace armctl {
@@ -22,17 +24,19 @@ class Dynamics {
 public:
     explicit Dynamics(Model model)
         : model_(std::move(model)), links_(model_->joints.size()), middle_position_(model_->n()), middle_velocity_(model_->n()),
-          sum_(model_->n()), change_(model_->n()), inertia_(model_->n(), model_->n()), J_(6, model_->n()) {}
+          sum_(model_->n()), change_(model_->n()), inertia_(model_->n(), model_->n()), J_(6, model_->n()) {
+        if (model_->closure) { closed_.emplace(model_->closure); }
+    }
 
     const ArmModel& model() const { return *model_; }
 
     // Places the joints at q (n,) rad.
     void place(Vector q) {
+        if (closed_) { closed_->close(q); }
         for (size_t j = 0; j < links_.size(); ++j) {
             const Joint& joint = model_->joints[j];
             Link& link = links_[j];
-            link.position = joint_value(j, q);
-            if (!model_->is_plain) { link.position += joint.offset; }
+            link.position = position(j, q);
             if (joint.slides) {
                 link.placement = {joint.rotation, joint.translation + link.position * joint.rotation.z};
             } else {
@@ -80,6 +84,7 @@ public:
         for (size_t i = 0; i < tau.size(); ++i) {
             tau[i] += model_->drives[i].friction.torque(v_ref[i] + half * a_ref[i], a_ref[i] + change_[i]);
         }
+        if (closed_) { add_passive_friction(v_ref, a_ref, tau); }
     }
 
     // Adds the torque of the linear damping at the velocities v.
@@ -165,6 +170,7 @@ public:
         place_in_middle(q, v, a);
         set(&Link::velocity, middle_velocity_);
         set(&Link::acceleration, a);
+        if (closed_) { add_loop_acceleration(middle_velocity_); }
         for (size_t j = 0; j < model_->chain_length; ++j) { move_link(j); }
         locate();
         const BodyMotion& last = links_[model_->chain_length - 1].motion;
@@ -202,7 +208,7 @@ private:
         const Vec3 z = sign * T.rotation.z;
         const std::array<double, 6> twist = numbers(model_->joints[j].slides ? Twist{z, {}} : Twist{cross(z, point - T.translation), z});
         for (size_t i = 0; i < J.columns; ++i) {
-            const double ratio = model_->is_plain ? (i == j ? 1.0 : 0.0) : model_->ratio(j, i);
+            const double ratio = model_->is_plain ? (i == j ? 1.0 : 0.0) : this->ratio(j, i);
             if (ratio == 0.0) { continue; }
             for (size_t row = 0; row < 6; ++row) { J(row, i) += ratio * twist[row]; }
         }
@@ -227,8 +233,10 @@ private:
     void smooth_torque(Vector v, Vector a, Result tau) {
         set(&Link::velocity, v);
         set(&Link::acceleration, a);
+        if (closed_) { add_loop_acceleration(v); }
         newton_euler();
         if (model_->has_springs) { add_springs(); }
+        if (closed_) { add_passive(); }
         torques_of_arm(tau);
         for (size_t i = 0; i < tau.size(); ++i) {
             const Drive& drive = model_->drives[i];
@@ -316,7 +324,7 @@ private:
                 continue;
             }
             tau[i] = 0.0;
-            for (size_t j = 0; j < links_.size(); ++j) { tau[i] += model_->ratio(j, i) * links_[j].torque; }
+            for (size_t j = 0; j < links_.size(); ++j) { tau[i] += ratio(j, i) * links_[j].torque; }
         }
     }
 
@@ -359,7 +367,7 @@ private:
             const Joint& joint = model_->joints[other];
             const double inertia = joint.slides ? force.z : moment.z;
             if (!model_->is_plain) {
-                add_coupling(j, other, inertia, M);
+                add_coupling(j, other, other == j && closed_ ? inertia + model_->passive[j].armature : inertia, M);
             } else if (other == j) {
                 M(j, j) += inertia;
             } else {
@@ -377,14 +385,54 @@ private:
     void add_coupling(size_t j, size_t other, double inertia, MatrixResult M) const {
         for (size_t i = 0; i < M.rows; ++i) {
             for (size_t k = 0; k < M.columns; ++k) {
-                M(i, k) += model_->ratio(j, i) * model_->ratio(other, k) * inertia;
-                if (other != j) { M(i, k) += model_->ratio(other, i) * model_->ratio(j, k) * inertia; }
+                M(i, k) += ratio(j, i) * ratio(other, k) * inertia;
+                if (other != j) { M(i, k) += ratio(other, i) * ratio(j, k) * inertia; }
             }
         }
     }
 
     // The velocity or acceleration of a joint, from those of the arm's n.
-    double joint_value(size_t joint, Vector x) const { return model_->is_plain ? x[joint] : dot(model_->ratio.row(joint), x); }
+    double joint_value(size_t joint, Vector x) const {
+        if (model_->is_plain) { return x[joint]; }
+        return dot(closed_ ? closed_->ratio().row(joint) : model_->ratio.row(joint), x);
+    }
+
+    // The position of a joint, after the loops have been closed.
+    double position(size_t joint, Vector q) const {
+        if (model_->is_plain) { return q[joint]; }
+        return closed_ ? closed_->positions()[joint] : joint_value(joint, q) + model_->joints[joint].offset;
+    }
+
+    // How a joint moves with one of the arm's n, where it is placed.
+    double ratio(size_t joint, size_t i) const { return closed_ ? closed_->ratio()(joint, i) : model_->ratio(joint, i); }
+
+    // Adds to the accelerations of the joints what closed loops add at the velocities v of the arm's n.
+    void add_loop_acceleration(Vector v) {
+        const Vector added = closed_->acceleration(v);
+        for (size_t j = 0; j < links_.size(); ++j) { links_[j].acceleration += added[j]; }
+    }
+
+    // Adds the torque against dry friction of passive joints, whose speeds are those of the reference motion where it is placed.
+    void add_passive_friction(Vector v_ref, Vector a_ref, Result tau) {
+        const double half = model_->half_step;
+        for (size_t i = 0; i < tau.size(); ++i) {
+            sum_[i] = v_ref[i] + half * a_ref[i];
+            change_[i] += a_ref[i];
+        }
+        for (const size_t j : model_->closure->passive) {
+            const double torque = model_->passive[j].friction.torque(joint_value(j, sum_), joint_value(j, change_));
+            for (size_t i = 0; i < tau.size(); ++i) { tau[i] += ratio(j, i) * torque; }
+        }
+    }
+
+    // Adds the torques of passive joints.
+    void add_passive() {
+        for (const size_t j : model_->closure->passive) {
+            const PassiveJoint& joint = model_->passive[j];
+            Link& link = links_[j];
+            link.torque += joint.armature * link.acceleration + joint.damping.damping(link.velocity) * link.velocity;
+        }
+    }
 
     // A link alone, without the links behind it.
     static CompositeInertia own_inertia(const Joint& joint) {
@@ -417,6 +465,7 @@ private:
     // Scratch memory, (n,) each and (n, n).
     Numbers middle_position_, middle_velocity_, sum_, change_;
     Mat inertia_, J_;
+    std::optional<ClosedLoops> closed_;
 };
 
 }  // namespace armctl

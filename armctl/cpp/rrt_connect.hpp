@@ -37,7 +37,7 @@ public:
     RrtConnect(std::shared_ptr<ClearanceProof> proof, double clearance, Vector start, Matrix goals, Vector low, Vector high,
                size_t capacity)
         : proof_(std::move(proof)), clearance_(clearance), low_(low.begin(), low.end()), high_(high.begin(), high.end()),
-          capacity_(capacity), start_(model().joints()), end_(start_) {
+          capacity_(capacity), end_(model().joints()) {
         if (keep()) { step_ = std::min(STEP, 2.0 * std::sqrt(keep()->within)); }
         add(trees_[FROM_START], start, std::nullopt);
         for (size_t goal = 0; goal < goals.rows; ++goal) { add(trees_[FROM_GOALS], goals.row(goal), std::nullopt); }
@@ -144,11 +144,10 @@ private:
     // of the cost.
     bool edge_is_free(Vector start, Vector end) {
         CollisionScene& scene = proof_->scene();
-        model().positions(end, end_);
+        scene.find_positions(end, end_);
         if (scene.first_hit(end_, clearance_) != scene.no_pair()) { return false; }
         if (keep() && scene.tilt(*keep()) > keep()->within) { return false; }
-        model().positions(start, start_);
-        proof_->motion().set_line(start_, end_);
+        proof_->set_line(start, end);
         return !proof_->hit(clearance_);
     }
 
@@ -158,7 +157,7 @@ private:
         CollisionScene& scene = proof_->scene();
         const KeptAxis& axis = *keep();
         for (int step = 0; step < LEVEL_STEPS; ++step) {
-            model().positions(q, end_);
+            scene.find_positions(q, end_);
             scene.place_frames(end_);
             const double excess = scene.tilt(axis) - LEVEL_SHARE * axis.within;
             if (excess <= LEVEL_TOLERANCE_RAD) { return true; }
@@ -181,7 +180,7 @@ private:
             const MovingFrame& moving = model().frames[walk];
             if (!moving.slides) { all[moving.joint] = dot(scene.frame(walk).axis, rotation) / norm(rotation); }
         }
-        return model().reduced_gradient(all);
+        return scene.reduced_gradient(all);
     }
 
     std::shared_ptr<ClearanceProof> proof_;
@@ -194,8 +193,7 @@ private:
     size_t side_ = FROM_START;  // whose turn it is
     std::optional<std::array<size_t, 2>> meeting_;
     Configuration trial_;
-    std::vector<double> start_;  // (m,) of an edge
-    std::vector<double> end_;
+    std::vector<double> end_;  // (m,) of an edge
 };
 
 }  // namespace armctl

@@ -91,6 +91,8 @@ def check_chain(arm: Arm, base: str, poses: int) -> ChainCheck:
     error = float(np.abs(computed_torque.q - computed_torque.q_ref).max())
     if not note and error > EXACT_TRACKING and not arm.joint_map.is_plain and not _is_rigid(arm):
         note = "an equality of the model ties joints to each other, and is a soft constraint"
+    if not note and error > EXACT_TRACKING and arm.joint_map.closure is not None:
+        note = "closed loops are constraints of the simulation, whose forces the controller does not know"
     if not note and (np.abs(computed_torque.tau_cmd) > computed_torque.tau_max).any():
         note = "a motor saturates"
     return ChainCheck(

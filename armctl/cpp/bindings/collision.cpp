@@ -119,10 +119,10 @@ CollisionDescription collision_description(Given& given) {
 }
 
 // The positions of all joints at q (n,); the memory is the thread's.
-Vector all_positions(const CollisionScene& scene, const In& q) {
+Vector all_positions(CollisionScene& scene, const In& q) {
     thread_local std::vector<double> positions;
     positions.resize(scene.model().joints());
-    scene.model().positions(q.vector(scene.model().n(), "q"), positions);
+    scene.find_positions(q.vector(scene.model().n(), "q"), positions);
     return positions;
 }
 
@@ -131,6 +131,11 @@ void find_all_hits(CollisionScene& scene, const In& q, double clearance, const I
 }
 
 std::vector<NearPair> find_near_pairs(CollisionScene& scene, const In& q, const In& moves, double share, const In& clearances) {
+    if (scene.loops()) {
+        Numbers delta(scene.model().joints());
+        scene.loops()->bound(q.vector(scene.model().n(), "q"), moves.vector(scene.model().n(), "moves"), delta);
+        return scene.near_pairs(all_positions(scene, q), delta, share, clearances.vector(scene.model().pairs.size(), "clearances"));
+    }
     const Vector delta = moves.vector(scene.model().joints(), "moves");
     return scene.near_pairs(all_positions(scene, q), delta, share, clearances.vector(scene.model().pairs.size(), "clearances"));
 }
@@ -148,6 +153,7 @@ void bind_scene(nb::module_& module) {
     bind_constructor<>(
         bound, "__init__(self", [](auto& given) { return collision_description(given); }, make,
         "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.");
+    bound.def("with_loops", &CollisionModel::with_loops, "loops"_a, "The same of an arm with closed loops.");
     nb::class_<PairDistance>(module, "PairDistance", "A pair and its distance.")
         .def_ro("pair", &PairDistance::pair, "Its row, or the number of pairs where there is none.")
         .def_ro("distance", &PairDistance::distance, "m");
@@ -169,7 +175,7 @@ void bind_scene(nb::module_& module) {
             "nearest_pair", [](CollisionScene& self, const In& q) { return self.nearest_pair(all_positions(self, q)); }, "q"_a, Release(),
             "The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.")
         .def("near_pairs", &find_near_pairs, "q"_a, "moves"_a, "share"_a, "clearances"_a, Release(),
-             "The pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which is\n"
+             "The pairs that moves (m,) of all joints, or with closed loops (n,), from q (n,) can bring nearer by more than a share of what is free, which is\n"
              "their distance less their clearance (K,).");
 }
 
@@ -180,7 +186,7 @@ void keep_axis(ClearanceProof& proof, const In& q, size_t frame, const In& direc
 void set_motion(ClearanceProof& proof, const In& knots, const In& coefficients) {
     const size_t pieces = std::max<size_t>(knots.length("knots"), 1) - 1;
     const size_t powers = coefficients.length("coefficients", 1);
-    const size_t joints = proof.scene().model().joints();
+    const size_t joints = proof.moving();
     proof.motion().set(knots.vector(pieces + 1, "knots"), coefficients.shaped({pieces, powers, joints}, "coefficients"), joints);
 }
 
@@ -192,7 +198,7 @@ std::optional<Hit> find_hit(ClearanceProof& proof, double clearance, std::option
 void bind_proof(nb::module_& module) {
     module.attr("MAX_DEGREE") = PolynomialMotion::MAX_DEGREE;
     nb::class_<Hit>(module, "Hit", "A pair that is not known to be free.")
-        .def_ro("pair", &Hit::pair, "Its row; the number of pairs says that the kept axis tilts.")
+        .def_ro("pair", &Hit::pair, "Its row; the number of pairs says that the kept axis tilts, the next that loops do not close.")
         .def_ro("time", &Hit::time, "s");
     nb::class_<Approach>(module, "Approach", "How near a motion comes.")
         .def_ro("bound", &Approach::bound, "m, proved; negative if the clearance could not be proved.")
@@ -205,8 +211,8 @@ void bind_proof(nb::module_& module) {
              "In the next proofs, the axis that moves with a frame and has a direction of the world (3,) at q (n,) may tilt by rad.")
         .def("release_axis", &ClearanceProof::release_axis, "Lets all axes tilt.")
         .def("set_motion", &set_motion, "knots"_a, "coefficients"_a,
-             "Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints by powers of the\n"
-             "time since the knot, of degree 1 to 5.")
+             "Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints, or with closed\n"
+             "loops of the n driven ones, by powers of the time since the knot, of degree 1 to 5.")
         .def("hit", &find_hit, "clearance"_a, "pair"_a = nb::none(), Release(),
              "Proves that the motion keeps all pairs, or one, farther apart than a clearance, m: None, or\n"
              "where it is not known to be free.")

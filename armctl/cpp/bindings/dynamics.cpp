@@ -100,7 +100,27 @@ void bind_model(nb::module_& module) {
         "A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains them.");
     bound.def_prop_ro("n", &ArmModel::n, "The number of joints that the arm's motors drive.")
         .def("for_period", &ArmModel::for_period, "dt"_a, "continuous"_a,
-             "The model for a control period, s: one step of MuJoCo, or a continuous motion. dt = 0 is continuous time.");
+             "The model for a control period, s: one step of MuJoCo, or a continuous motion. dt = 0 is continuous time.")
+        .def(
+            "with_loops",
+            [](const ArmModel& self, const Closure& loops, const In& damping, const In& friction, const In& armature) {
+                const size_t m = self.joints.size();
+                const Matrix rows = damping.matrix(m, 3, "damping");
+                const Matrix laws = friction.matrix(m, 3, "friction");
+                const Vector inertia = armature.vector(m, "armature");
+                std::vector<PassiveJoint> each;
+                for (size_t j = 0; j < m; ++j) {
+                    each.push_back({
+                        .armature = inertia[j],
+                        .damping = polynomial(rows.row(j)),
+                        .friction = {laws(j, 0), laws(j, 1), laws(j, 2)},
+                    });
+                }
+                return self.with_loops(loops, std::move(each));
+            },
+            "loops"_a, "damping"_a, "friction"_a, "armature"_a,
+            "The same arm with closed loops, and the damping (m, 3), dry friction (m, 3: loss, gain, rate) and armature (m,) of its\n"
+            "passive joints, zero for others.");
 }
 
 // An array with rows for the states of an arm.

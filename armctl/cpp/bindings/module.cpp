@@ -35,6 +35,7 @@ NB_MODULE(_core, module) {
     nb::register_exception_translator(translate);
     armctl::bind_arm_motion(module);
     armctl::bind_collision(module);
+    armctl::bind_loop_closure(module);
     armctl::bind_dynamics(module);
     armctl::bind_environments(module);
     armctl::bind_ik(module);

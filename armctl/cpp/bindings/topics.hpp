@@ -10,6 +10,7 @@ void bind_dynamics(nanobind::module_& module);
 void bind_environments(nanobind::module_& module);
 void bind_ik(nanobind::module_& module);
 void bind_laws(nanobind::module_& module);
+void bind_loop_closure(nanobind::module_& module);
 void bind_motion(nanobind::module_& module);
 void bind_planning(nanobind::module_& module);
 void bind_tick_loop(nanobind::module_& module);

@@ -26,7 +26,7 @@ from armctl.core.validation import Array, IntArray, inertia_tensor, instance, ma
 from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.arm_equations import ArmEquations
 from armctl.model.arm.core_model import tips
-from armctl.model.arm.dynamics import Dynamics, core_model
+from armctl.model.arm.dynamics import Dynamics, core_model, make_dynamics
 from armctl.model.arm.joint_map import JointMap
 from armctl.model.arm.mechanics import Mechanics
 from armctl.model.arm.pinocchio_model import PinocchioModel, TipFrame, build_pinocchio_model
@@ -50,7 +50,7 @@ class _ThreadDynamics(threading.local):
     """Equations of motion for each thread: their scratch memory must not be shared."""
 
     def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel, home_qpos: Array):
-        self.dynamics = Dynamics(model, pinocchio_model)
+        self.dynamics = make_dynamics(model, pinocchio_model)
         self._arguments = (model, pinocchio_model, home_qpos)
 
     @cached_property
@@ -160,7 +160,7 @@ class Arm(ArmEquations):
         """
         body = self.tip_frames[self._tip_number(tip)].body
         joints = np.array(joints_above(self.model, body))
-        moved = self.joint_map.ratio[np.isin(self.joint_map.joints, joints)].any(axis=0)
+        moved = self.joint_map.moved[np.isin(self.joint_map.joints, joints)].any(axis=0)
         return tuple(np.flatnonzero(moved).tolist())
 
     @cached_property
@@ -177,8 +177,8 @@ class Arm(ArmEquations):
 
     @cached_property
     def moved_bodies(self) -> frozenset[int]:
-        """The bodies that carry the n joints."""
-        return frozenset(self.model.dof_bodyid[self.dof_adr].tolist())
+        """The bodies that carry the n joints, and the passive ones of closed loops."""
+        return frozenset(self.model.dof_bodyid[self.joint_map.dof_adr[self.joint_map.moving_rows]].tolist())
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -258,14 +258,23 @@ class Arm(ArmEquations):
         low = self.limits.q_min
         high = self.limits.q_max
         if ((given >= low) & (given <= high)).all():
-            return given
+            return given if self.joint_map.closure is None else self._closed(what, given)
         margin = number("tolerance", tolerance, 0.0)
         outside = (given < low - margin) | (given > high + margin)
         if outside.any():
             i = int(outside.argmax())
             excess = float(max(low[i] - given[i], given[i] - high[i]))
             raise LimitError(f"{what}: {self._outside(i, float(given[i]))}{units.question(self.units[i], excess)}")
-        return self.limits.clamp(given)
+        inside = self.limits.clamp(given)
+        return inside if self.joint_map.closure is None else self._closed(what, inside)
+
+    def _closed(self, what: str, q: Array) -> Array:
+        """Joint positions at which closed loops close, with passive joints in their limits; LimitError for others."""
+        assert self.joint_map.closure is not None
+        _, reason = self.joint_map.closure.first_refusal(q[None])
+        if reason:
+            raise LimitError(f"{what}: {reason}")
+        return q
 
     def check_units(self, what: str, q: ArrayLike, remedy: str = "") -> None:
         """Refuses joint positions that are too far outside the limits to be rad or m, for calls that accept positions outside.
@@ -340,14 +349,18 @@ class Arm(ArmEquations):
         self.joint_map.set_positions(qpos, vector("q", q, self.n))
         return qpos
 
-    def qvel(self, v: Array) -> Array:
+    def qvel(self, v: Array, q: Array | None = None) -> Array:
         """The whole model's speeds with the arm moving and all else at rest.
+
+        Args:
+            q: (n,) rad, where it moves: needed for an arm with closed loops only.
 
         Returns:
             (nv,) for `MjData.qvel`.
         """
         qvel = np.zeros(self.model.nv)
-        self.joint_map.set_speeds(qvel, vector("v", v, self.n))
+        at = None if q is None else vector("q", q, self.n)
+        qvel[self.joint_map.dof_adr] = self.joint_map.speeds(vector("v", v, self.n), at)
         return qvel
 
     def with_limits(self, limits: Limits) -> Arm:

@@ -10,7 +10,8 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.validation import Array
-from armctl.model.arm.passive_forces import DryFriction, PassiveForces, is_enabled
+from armctl.model.arm.joint_map import JointMap
+from armctl.model.arm.passive_forces import DryFriction, PassiveForces, PassiveJoints, is_enabled
 from armctl.model.arm.pinocchio_model import PinocchioModel
 
 # Of a (3, 3) inertia: xx yy zz xy xz yz.
@@ -70,8 +71,8 @@ def model_arrays(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> dict
         "stiffness": np.ascontiguousarray(passive.stiffness),
         "spring_rest": passive.rest,
         "offsets": joint_map.offset,
-        "ratio": joint_map.ratio,
-        "armature": np.array(pin_model.armature),
+        "ratio": joint_map.fixed_ratio,
+        "armature": np.array(pin_model.armature) if joint_map.closure is None else _driven_armature(model, joint_map),
         "damping": np.column_stack([passive.damping, passive.quadratic_damping, passive.cubic_damping]),
         "friction_loss": friction.loss,
         "friction_gain": friction.gain,
@@ -83,6 +84,22 @@ def model_arrays(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> dict
         "implicit_damping": integrator.implicit_damping,
         "implicit_coriolis": integrator.implicit_coriolis,
     }
+
+
+def _driven_armature(model: mujoco.MjModel, joint_map: JointMap) -> Array:
+    """(n,) kg m^2, of the driven joints of an arm with closed loops and of those that follow them at fixed ratios."""
+    return joint_map.fixed_ratio.T**2 @ model.dof_armature[joint_map.dof_adr]
+
+
+def make_core_model(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> _core.ArmModel:
+    """The model of an arm for the compiled core, in continuous time."""
+    core = _core.ArmModel(**model_arrays(model, pinocchio_model))
+    closure = pinocchio_model.joint_map.closure
+    if closure is None:
+        return core
+    passive = PassiveJoints(model, pinocchio_model.joint_map)
+    friction = np.column_stack([passive.friction.loss, passive.friction.gain, passive.friction.rate])
+    return core.with_loops(closure.core, np.ascontiguousarray(passive.damping), friction, passive.armature)
 
 
 def tips(core: _core.ArmModel, q: Array) -> tuple[Array, Array]:

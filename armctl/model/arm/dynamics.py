@@ -17,8 +17,8 @@ import pinocchio as pin
 from armctl import _core
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array
-from armctl.model.arm.core_model import inverse_dynamics, model_arrays, tips
-from armctl.model.arm.passive_forces import DryFriction, PassiveForces
+from armctl.model.arm.core_model import inverse_dynamics, make_core_model, tips
+from armctl.model.arm.passive_forces import DryFriction, PassiveForces, PassiveJoints
 from armctl.model.arm.pinocchio_model import PinocchioModel
 from armctl.model.mjmodel.queries import joint_name
 
@@ -38,6 +38,8 @@ class Dynamics:
 
     def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
         joint_map = pinocchio_model.joint_map
+        if joint_map.closure is not None and type(self) is Dynamics:
+            raise ModelError(f"{joint_map.closure.label}: this is not computed for an arm with closed loops")
         passive = PassiveForces(model, joint_map)
         self._joint_map = joint_map
         self._passive = passive
@@ -138,8 +140,68 @@ class Dynamics:
         if self._passive.has_springs:
             tau = tau + self._passive.spring_torque(q)
         if self._gravity_support is not None:
-            tau = tau - pin.computeGeneralizedGravity(self._gravity_support, self._support_data, q)
+            tau = tau - self._support(q)
         return tau
+
+    def _support(self, q: Array) -> Array:
+        """The torque of gravity on what gravity compensation lifts, (n,) N m."""
+        return pin.computeGeneralizedGravity(self._gravity_support, self._support_data, q)
+
+
+class ClosedDynamics(Dynamics):
+    """The same of an arm with closed loops, from those of its tree of m joints.
+
+    With the positions p(q) of all joints, their speeds J v and accelerations J a + c, torques of the tree become those of the
+    arm by J^T. Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 8.
+    """
+
+    def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
+        super().__init__(model, pinocchio_model)
+        self._passive_joints = PassiveJoints(model, self._joint_map)
+        self._all_joints = np.triu(np.ones((len(self._joint_map.joints),) * 2, bool))
+
+    def mass_matrix(self, q: Array) -> Array:
+        """As that of a tree."""
+        M = pin.crba(self._model, self._data, self._joint_map.positions(q), pin.Convention.WORLD)
+        ratio = self._joint_map.ratio_at(q)
+        return ratio.T @ np.where(self._all_joints, M, M.T) @ ratio
+
+    def bias(self, q: Array, v: Array) -> Array:
+        """Coriolis, centrifugal and gravity torques, (n,) N m."""
+        return self._rigid(q, v, np.zeros_like(v))[0]
+
+    def gravity(self, q: Array) -> Array:
+        """As that of a tree."""
+        zero = np.zeros_like(q)
+        return self._with_position_forces(self._rigid(q, zero, zero)[0], q)
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
+        """As that of a tree."""
+        tau, ratio = self._rigid(q, v, a)
+        tau = tau + self._passive.damping_torque(v) + self._passive_joints.damping_torque(ratio @ v) @ ratio
+        return self._with_position_forces(tau, q)
+
+    def payload_regressor(self, q: Array, v: Array, a: Array) -> Array:
+        """ModelError: Pinocchio has no regressor of a closed loop."""
+        raise ModelError(f"{self._joint_map.closure.label}: no payload can be identified with closed loops")  # type: ignore[union-attr]
+
+    def _rigid(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+        """The torque (n,) that moves the masses, and the speeds (m, n) of all joints per speed of the driven ones."""
+        joint_map = self._joint_map
+        ratio = joint_map.ratio_at(q)
+        tau = rnea(self._model, self._data, joint_map.positions(q), ratio @ v, joint_map.accelerations(a, q, v))
+        return tau @ ratio, ratio
+
+    def _support(self, q: Array) -> Array:
+        all_positions = self._joint_map.positions(q)
+        lifted = pin.computeGeneralizedGravity(self._gravity_support, self._support_data, all_positions)
+        return lifted @ self._joint_map.ratio_at(q)
+
+
+def make_dynamics(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> Dynamics:
+    """The equations of motion of an arm, with or without closed loops."""
+    kind = Dynamics if pinocchio_model.joint_map.closure is None else ClosedDynamics
+    return kind(model, pinocchio_model)
 
 
 def core_model(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> _core.ArmModel:
@@ -147,8 +209,8 @@ def core_model(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> _core.
 
     ModelError if the core's dynamics differ from Pinocchio's.
     """
-    core = _core.ArmModel(**model_arrays(model, pinocchio_model))
-    _check(core, Dynamics(model, pinocchio_model), pinocchio_model)
+    core = make_core_model(model, pinocchio_model)
+    _check(core, make_dynamics(model, pinocchio_model), pinocchio_model)
     return core
 
 
@@ -158,8 +220,11 @@ def _check(core: _core.ArmModel, dynamics: Dynamics, pinocchio_model: PinocchioM
     M = np.zeros((n, n))
     J = np.zeros((6, n))
     rng = np.random.default_rng(0)
+    closure = pinocchio_model.joint_map.closure
     for _ in range(_CHECKED_STATES):
         q, v, a = rng.uniform(-1.0, 1.0, (3, n))
+        if closure is not None:
+            q = closure.near_reference(q)
         _core.inverse_dynamics(core, q[None], v[None], a[None], tau[None])
         _core.mass_matrices(core, q[None], M.reshape(1, -1))
         _core.tip_jacobians(core, q[None], J.reshape(1, -1))

@@ -17,12 +17,14 @@ class Mechanics:
     """Quantities of an arm by Pinocchio, on a model in which no joint follows another.
 
     Pinocchio computes few of them with mimic joints. With the m positions R q + r of all joints that n move, matrices are
-    R^T X R, and Jacobians J R. An object has its own scratch memory: use it in one thread at a time.
+    R^T X R, and Jacobians J R; with closed loops R varies, and its derivative adds to both. An object has its own scratch
+    memory: use it in one thread at a time.
     """
 
     def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel, home_qpos: Array):
         self._joint_map = pinocchio_model.joint_map
         self._passive = PassiveForces(model, self._joint_map)
+        self._armature = model.dof_armature[self._joint_map.dof_adr]
         self._support = pinocchio_model.gravity_support
         self._support_data = None if self._support is None else self._support.createData()
         self._model = _without_mimic_joints(model, pinocchio_model)
@@ -35,15 +37,24 @@ class Mechanics:
     def coriolis(self, q: Array, v: Array) -> Array:
         """(n, n) by Christoffel symbols of the first kind; the torque is C v (Siciliano, Robotics (2009), 7.1.1)."""
         joint_map = self._joint_map
-        C = pin.computeCoriolisMatrix(self._model, self._data, joint_map.positions(q), joint_map.speeds(v))
+        C = pin.computeCoriolisMatrix(self._model, self._data, joint_map.positions(q), joint_map.speeds(v, q))
         C = np.asarray(C, dtype=np.float64).reshape(self._model.nv, -1)
-        return C.copy() if joint_map.is_plain else joint_map.ratio.T @ C @ joint_map.ratio
+        if joint_map.is_plain:
+            return C.copy()
+        ratio = joint_map.ratio_at(q)
+        total = C @ ratio
+        if joint_map.closure is not None:
+            M = pin.crba(self._model, self._data, joint_map.positions(q), pin.Convention.WORLD)
+            upper = np.triu(M)
+            total += (upper + np.triu(M, 1).T + np.diag(self._armature)) @ joint_map.closure.ratio_derivative(q, v)
+        return ratio.T @ total
 
     def potential_energy(self, q: Array) -> float:
         """J of gravity, minus what gravity compensation lifts, and of joint springs."""
         energy = pin.computePotentialEnergy(self._model, self._data, self._joint_map.positions(q))
         if self._support is not None:
-            energy -= pin.computePotentialEnergy(self._support, self._support_data, q)
+            given = q if self._joint_map.closure is None else self._joint_map.positions(q)
+            energy -= pin.computePotentialEnergy(self._support, self._support_data, given)
         return float(energy) + self._passive.spring_energy(q)
 
     def center_of_mass(self, q: Array) -> Array:
@@ -52,7 +63,7 @@ class Mechanics:
 
     def center_of_mass_jacobian(self, q: Array) -> Array:
         """(3, n)."""
-        return self._reduced(pin.jacobianCenterOfMass(self._model, self._data, self._joint_map.positions(q)), 3)
+        return self._reduced(pin.jacobianCenterOfMass(self._model, self._data, self._joint_map.positions(q)), 3, q)
 
     def frame(self, body: str) -> int:
         """The number of a body's frame. UnknownNameError if there is none of that name."""
@@ -73,27 +84,32 @@ class Mechanics:
     def jacobian(self, q: Array, frame: int) -> Array:
         """(6, n), linear first, world axes, at the frame."""
         positions = self._joint_map.positions(q)
-        return self._reduced(pin.computeFrameJacobian(self._model, self._data, positions, frame, WORLD_AXES_AT_TIP), 6)
+        return self._reduced(pin.computeFrameJacobian(self._model, self._data, positions, frame, WORLD_AXES_AT_TIP), 6, q)
 
     def jacobian_derivative(self, q: Array, v: Array, frame: int) -> Array:
         """(6, n) the time derivative of `jacobian`."""
         joint_map = self._joint_map
-        pin.computeJointJacobiansTimeVariation(self._model, self._data, joint_map.positions(q), joint_map.speeds(v))
+        pin.computeJointJacobiansTimeVariation(self._model, self._data, joint_map.positions(q), joint_map.speeds(v, q))
         pin.updateFramePlacements(self._model, self._data)
-        return self._reduced(pin.getFrameJacobianTimeVariation(self._model, self._data, frame, WORLD_AXES_AT_TIP), 6)
+        dJ = self._reduced(pin.getFrameJacobianTimeVariation(self._model, self._data, frame, WORLD_AXES_AT_TIP), 6, q)
+        if joint_map.closure is not None:
+            J = pin.getFrameJacobian(self._model, self._data, frame, WORLD_AXES_AT_TIP)
+            dJ += np.asarray(J).reshape(6, -1) @ joint_map.closure.ratio_derivative(q, v)
+        return dJ
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """(n, 10 m) the torque of the links is this times `parameters`."""
         joint_map = self._joint_map
         positions = joint_map.positions(q)
-        Y = pin.computeJointTorqueRegressor(self._model, self._data, positions, joint_map.speeds(v), joint_map.speeds(a))
+        all_a = joint_map.accelerations(a, q, v)
+        Y = pin.computeJointTorqueRegressor(self._model, self._data, positions, joint_map.speeds(v, q), all_a)
         Y = np.asarray(Y, dtype=np.float64).reshape(self._model.nv, -1)
-        return Y.copy() if joint_map.is_plain else joint_map.ratio.T @ Y
+        return Y.copy() if joint_map.is_plain else joint_map.ratio_at(q).T @ Y
 
-    def _reduced(self, J: Array, rows: int) -> Array:
+    def _reduced(self, J: Array, rows: int, q: Array) -> Array:
         """A Jacobian of all joints as that of the arm's; Pinocchio drops the column of a single joint."""
         J = np.asarray(J, dtype=np.float64).reshape(rows, -1)
-        return J.copy() if self._joint_map.is_plain else J @ self._joint_map.ratio
+        return J.copy() if self._joint_map.is_plain else J @ self._joint_map.ratio_at(q)
 
 
 def _without_mimic_joints(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> pin.Model:

@@ -8,6 +8,7 @@ from armctl.core.errors import ModelError
 from armctl.core.pose import computed_pose
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
+from armctl.model.arm.dynamics import make_dynamics
 
 PARITY_TOLERANCE = 1e-9
 
@@ -20,7 +21,10 @@ def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
     rng = np.random.default_rng(seed)
     scratch = arm.pinocchio_model.scratch
     worst = 0.0
+    closure = arm.joint_map.closure
     for q in (arm.home, *arm.limits.random(arm.home, samples, rng)):
+        if closure is not None:
+            q = closure.near_reference(q - arm.home)
         v = rng.uniform(-1, 1, arm.n)
         for what, error in _differences(arm, scratch, q, v).items():
             if not error <= PARITY_TOLERANCE:
@@ -37,7 +41,7 @@ def _differences(arm: Arm, scratch: pin.Data, q: Array, v: Array) -> dict[str, f
     model = arm.model
     data = mujoco.MjData(model)
     data.qpos[:] = arm.qpos(q)
-    data.qvel[:] = arm.qvel(v)
+    data.qvel[:] = arm.qvel(v, q)
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     full = np.zeros((model.nv, model.nv))
@@ -47,13 +51,21 @@ def _differences(arm: Arm, scratch: pin.Data, q: Array, v: Array) -> dict[str, f
 
     pin_model = arm.pinocchio_model.pin_model
     position, rotation = arm.pinocchio_model.tip(q)
-    M = pin.crba(pin_model, scratch, q, pin.Convention.WORLD)  # LOCAL adds mimic joints to what the last call left
-    bias = pin.nonLinearEffects(pin_model, scratch, q, v)
+    closure = arm.joint_map.closure
+    moving = data.qfrc_bias
+    if closure is None:
+        M = pin.crba(pin_model, scratch, q, pin.Convention.WORLD)  # LOCAL adds mimic joints to what the last call left
+        bias = pin.nonLinearEffects(pin_model, scratch, q, v)
+    else:
+        dynamics = make_dynamics(model, arm.pinocchio_model)
+        M = dynamics.mass_matrix(q)
+        bias = dynamics.bias(q, v)
+        moving = moving + full[:, arm.joint_map.dof_adr] @ closure.acceleration(q, v)
     return {
         "tip position": _relative(position, T_world_tip.position),
         "tip orientation": _relative(rotation, T_world_tip.rotation),
-        "mass matrix": _relative(np.triu(M), np.triu(arm.joint_map.reduced_matrix(full))),
-        "bias": _relative(bias, arm.joint_map.reduced(data.qfrc_bias)),
+        "mass matrix": _relative(np.triu(M), np.triu(arm.joint_map.reduced_matrix(full, q))),
+        "bias": _relative(bias, arm.joint_map.reduced(moving, q)),
     }
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from armctl.core.validation import Array
+from armctl.core.validation import Array, IntArray
 from armctl.model.arm.joint_map import JointMap
 
 MIN_INVERSE_INERTIA = 1e-15  # 1/(kg m^2), MuJoCo's mjMINVAL: the lower bound of dof_invweight0 in a constraint
@@ -42,7 +42,8 @@ class PassiveForces:
     def __init__(self, model: mujoco.MjModel, joint_map: JointMap):
         dofs = joint_map.dof_adr
         joints = model.dof_jntid[dofs]
-        ratio = np.abs(joint_map.ratio.T)
+        # With closed loops these are the forces of the driven joints; `PassiveJoints` has those of the others.
+        ratio = np.abs(joint_map.fixed_ratio.T)
         damper = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
         spring = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
         # A joint that follows with |dq_i/dq| = r contributes r^(k + 1) of its term in v^k, by virtual work.
@@ -69,13 +70,33 @@ class PassiveForces:
         x = self._joint_map.positions(q) - self.rest
         k = self.stiffness
         force = x * (k[:, 0] + x * k[:, 1] + x * x * k[:, 2])
-        return force if self._joint_map.is_plain else force @ self._joint_map.ratio
+        return force if self._joint_map.is_plain else force @ self._joint_map.ratio_at(q)
 
     def spring_energy(self, q: Array) -> float:
         """J in the springs: the integral of `spring_torque` from where they are at rest."""
         x = self._joint_map.positions(q) - self.rest
         k = self.stiffness
         return float((x * x * (k[:, 0] / 2 + x * (k[:, 1] / 3 + x * k[:, 2] / 4))).sum())
+
+
+class PassiveJoints:
+    """Damping, dry friction and armature of the passive joints of closed loops, zero for all others."""
+
+    def __init__(self, model: mujoco.MjModel, joint_map: JointMap):
+        dofs = joint_map.dof_adr
+        is_passive = np.zeros(len(dofs))
+        if joint_map.closure is not None:
+            is_passive[joint_map.closure.passive] = 1.0
+        damper = is_passive * is_enabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        # (m, 3) linear, quadratic and cubic
+        self.damping = np.column_stack([model.dof_damping[dofs], model.dof_dampingpoly[dofs]]) * damper[:, None]
+        self.armature = model.dof_armature[dofs] * is_passive  # (m,) kg m^2
+        self.friction = DryFriction.of_passive(model, joint_map, is_passive)  # (m,)
+
+    def damping_torque(self, v: Array) -> Array:
+        """v (d0 + d1 |v| + d2 v^2), (m,) N m, at the speeds v (m,) of all joints."""
+        d = self.damping
+        return v * (d[:, 0] + d[:, 1] * np.abs(v) + d[:, 2] * v * v)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,16 +116,16 @@ class DryFriction:
         """The dry friction of the joints that an arm moves; gain and rate are those at zero constraint violation."""
         enabled = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         enabled &= is_enabled(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
-        loss = np.abs(joint_map.ratio.T) @ model.dof_frictionloss[joint_map.dof_adr] * enabled
-        dofs = joint_map.dof_adr[joint_map.leaders]
-        solref = model.dof_solref[dofs]
-        solimp = np.clip(model.dof_solimp[dofs], MIN_IMPEDANCE, MAX_IMPEDANCE)
-        impedance = solimp[:, 0]
-        impedance_max = solimp[:, 1]
-        time_constant = np.maximum(solref[:, 0], 2 * model.opt.timestep)
-        rate = np.where(solref[:, 0] > 0, 2 / (impedance_max * time_constant), -solref[:, 1] / impedance_max)
-        regularization = (1 - impedance) / impedance * np.maximum(model.dof_invweight0[dofs], MIN_INVERSE_INERTIA)
-        return cls(loss, 1 / regularization, rate)
+        loss = np.abs(joint_map.fixed_ratio.T) @ model.dof_frictionloss[joint_map.dof_adr] * enabled
+        return cls(loss, *_friction_law(model, joint_map.dof_adr[joint_map.leaders]))
+
+    @classmethod
+    def of_passive(cls, model: mujoco.MjModel, joint_map: JointMap, is_passive: Array) -> DryFriction:
+        """That of all m joints, without a loss where `is_passive` (m,) is 0."""
+        enabled = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        enabled &= is_enabled(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+        loss = model.dof_frictionloss[joint_map.dof_adr] * is_passive * enabled
+        return cls(loss, *_friction_law(model, joint_map.dof_adr))
 
     @property
     def slope(self) -> Array:
@@ -115,3 +136,15 @@ class DryFriction:
         """(n,) N m; a is the acceleration before implicit damping acts."""
         force = self.gain * (a + self.rate * v)
         return np.minimum(np.maximum(force, -self.loss), self.loss)  # faster than clip
+
+
+def _friction_law(model: mujoco.MjModel, dofs: IntArray) -> tuple[Array, Array]:
+    """The gain and rate of dry friction for some degrees of freedom; see `DryFriction`."""
+    solref = model.dof_solref[dofs]
+    solimp = np.clip(model.dof_solimp[dofs], MIN_IMPEDANCE, MAX_IMPEDANCE)
+    impedance = solimp[:, 0]
+    impedance_max = solimp[:, 1]
+    time_constant = np.maximum(solref[:, 0], 2 * model.opt.timestep)
+    rate = np.where(solref[:, 0] > 0, 2 / (impedance_max * time_constant), -solref[:, 1] / impedance_max)
+    regularization = (1 - impedance) / impedance * np.maximum(model.dof_invweight0[dofs], MIN_INVERSE_INERTIA)
+    return 1 / regularization, rate

@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, BoolArray, frozen
+from armctl.model.arm.joint_frames import joint_frames
 from armctl.model.arm.joint_map import JointMap
 from armctl.model.arm.passive_forces import is_enabled
 from armctl.model.mjmodel.queries import last_joint_above
@@ -89,7 +90,23 @@ class PinocchioModel:
         return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
 
     def __reduce__(self):
-        return PinocchioModel, tuple(getattr(self, field.name) for field in fields(self))
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))
+
+
+class ClosedPinocchioModel(PinocchioModel):
+    """The same with closed loops: each of the m joints is one of the Pinocchio model's, and the n driven ones move them all."""
+
+    def tip(self, q: Array) -> tuple[Array, Array]:
+        """As that of a tree."""
+        return super().tip(self.joint_map.positions(q))
+
+    def further_tip(self, q: Array, index: int) -> tuple[Array, Array]:
+        """As that of a tree."""
+        return super().further_tip(self.joint_map.positions(q), index)
+
+    def jacobian(self, q: Array, index: int = 0) -> Array:
+        """As that of a tree."""
+        return super().jacobian(self.joint_map.positions(q), index) @ self.joint_map.ratio_at(q)
 
 
 def build_pinocchio_model(
@@ -100,32 +117,24 @@ def build_pinocchio_model(
     Of the joints of `joint_map`, the first `chain_length` are those from the base to the first tip.
     """
     joints = joint_map.joints
-    data = mujoco.MjData(model)
-    zero = model.qpos0[model.jnt_qposadr[list(joints)]]
-    data.qpos[:] = qpos
-    data.qpos[model.jnt_qposadr[list(joints)]] = zero
-    mujoco.mj_kinematics(model, data)
-
-    frames = [_joint_frame(data.xanchor[j], data.xaxis[j]) for j in joints]
-    is_slide = np.array([model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for j in joints])
+    data, frames, joint_placements, parents, is_slide = joint_frames(model, joints, qpos)
     pin_model = pin.Model()
     has_gravity = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     pin_model.gravity.linear = model.opt.gravity if has_gravity else np.zeros(3)
     placements = []
-    for i, (joint, above) in enumerate(zip(joints, _joints_behind(model, joints), strict=True)):
-        previous = frames[above] if above >= 0 else pin.SE3.Identity()
-        back_to_zero = _joint_displacement(-zero[i], bool(is_slide[i]))
-        placement = previous.actInv(frames[i]) * back_to_zero
+    for i, (joint, above, placement) in enumerate(zip(joints, parents, joint_placements, strict=True)):
         kind = pin.JointModelPZ() if is_slide[i] else pin.JointModelRZ()
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}"
         pin_model.addJoint(above + 1, kind, placement, name)
         placements.append(placement.homogeneous)
-    for k, (ratio, offset) in enumerate(zip(joint_map.ratio, joint_map.offset, strict=True)):
-        if k not in joint_map.leaders:  # a joint that follows another is Pinocchio's mimic joint
-            leader = int(joint_map.leaders[np.flatnonzero(ratio)[0]])
-            pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
+    if joint_map.closure is None:
+        for k, (ratio, offset) in enumerate(zip(joint_map.ratio, joint_map.offset, strict=True)):
+            if k not in joint_map.leaders:  # a joint that follows another is Pinocchio's mimic joint
+                leader = int(joint_map.leaders[np.flatnonzero(ratio)[0]])
+                pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
     support = pin_model.copy() if has_gravity and np.any(model.body_gravcomp) else None
-    pin_model.armature = joint_map.ratio.T**2 @ model.dof_armature[joint_map.dof_adr]
+    armature = model.dof_armature[joint_map.dof_adr]
+    pin_model.armature = joint_map.ratio.T**2 @ armature if joint_map.closure is None else armature
 
     owners = last_joint_above(model, joints)
     for body, owner in enumerate(owners):
@@ -146,7 +155,8 @@ def build_pinocchio_model(
         owner = owners[tip.body]
         frame = pin.Frame(f"tip {tip.name}", owner + 1, 0, frames[owner].actInv(T_world_tip), pin.FrameType.OP_FRAME)
         pin_model.addFrame(frame)
-    return PinocchioModel(
+    kind = PinocchioModel if joint_map.closure is None else ClosedPinocchioModel
+    return kind(
         joint_map=joint_map,
         pin_model=pin_model,
         tip_frame=tip_frame,
@@ -155,33 +165,6 @@ def build_pinocchio_model(
         T_last_tip=frozen(T_last_tip.homogeneous),
         gravity_support=support,
     )
-
-
-def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
-    """For every joint, the position in `joints` of its parent joint, -1 if it has none."""
-    carried = last_joint_above(model, joints)
-    behind: list[int] = []
-    for i, joint in enumerate(joints):
-        body = int(model.jnt_bodyid[joint])
-        before = [k for k, other in enumerate(joints[:i]) if model.jnt_bodyid[other] == body]
-        behind.append(before[-1] if before else carried[int(model.body_parentid[body])])
-    return behind
-
-
-def _joint_frame(anchor: Array, axis: Array) -> pin.SE3:
-    """A frame at the anchor whose z axis is the joint's axis."""
-    z = axis / np.linalg.norm(axis)
-    x = np.eye(3)[np.abs(z).argmin()]
-    x = x - z * (x @ z)
-    x /= np.linalg.norm(x)
-    return pin.SE3(np.column_stack([x, np.cross(z, x), z]), anchor.copy())
-
-
-def _joint_displacement(q: float, slides: bool) -> pin.SE3:
-    """The displacement of a joint at position q: along z if it slides, else about z."""
-    if slides:
-        return pin.SE3(np.eye(3), np.array([0.0, 0.0, q]))
-    return pin.SE3(pin.utils.rotate("z", q), np.zeros(3))
 
 
 def _pinocchio_pose(T: Pose) -> pin.SE3:

@@ -13,6 +13,7 @@ from armctl.core.errors import InputError, ModelError, UnknownNameError, few_nam
 from armctl.core.validation import Array, BoolArray
 from armctl.model.collision.collision_geometry import Geometry, build_geometry, colliding_pairs, is_convex
 from armctl.model.collision.moving_joints import KeptAxis, MovingJoints, NearPairs
+from armctl.model.mjmodel.closed_loops import pinned_bodies
 from armctl.model.mjmodel.queries import (
     acts,
     geom_owner_name,
@@ -98,6 +99,10 @@ class CollisionChecker:
         """Whether a proof stopped because the kept axis tilts, and not because a pair is too near."""
         return hit.pair == len(self.geometry.pairs)
 
+    def opens(self, hit: Hit) -> bool:
+        """Whether a proof stopped because closed loops cannot be closed, or a passive joint leaves its limits."""
+        return hit.pair > len(self.geometry.pairs)
+
     def _set(self, geometry: Geometry) -> None:
         self.geometry = geometry  # the geoms and pairs
         self._memory = _QueryScratch(geometry)
@@ -138,7 +143,9 @@ class CollisionChecker:
 
         What is free of a pair is its distance less its clearance (K,) m.
         """
-        near = self._memory.scene.near_pairs(_contiguous(q), np.abs(self._joint_map.ratio) @ moves, share, clearances)
+        joint_map = self._joint_map
+        all_moves = moves if joint_map.closure is not None else np.abs(joint_map.ratio) @ moves
+        near = self._memory.scene.near_pairs(_contiguous(q), _contiguous(all_moves), share, clearances)
         return NearPairs(
             pairs=np.array([each.pair for each in near], np.int64),
             distances=np.array([each.distance for each in near]),
@@ -151,7 +158,10 @@ class CollisionChecker:
         None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
         """
         proof = self.proof(keep)
-        self._set_line(proof, self._joint_map.positions(start), self._joint_map.positions(end))
+        if self._joint_map.closure is not None:
+            self._set_line(proof, start, end)
+        else:
+            self._set_line(proof, self._joint_map.positions(start), self._joint_map.positions(end))
         return proof.hit(clearance)
 
     def motion_hit(self, knots: Array, coefficients: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
@@ -169,20 +179,26 @@ class CollisionChecker:
     def _proof_of(self, knots: Array, coefficients: Array, keep: KeptAxis | None) -> ClearanceProof:
         """The proofs of this thread, of a motion, whose followers follow."""
         proof = self.proof(keep)
-        if not self._joint_map.is_plain:
+        if not self._joint_map.is_plain and self._joint_map.closure is None:
             coefficients = coefficients @ self._joint_map.ratio.T
             coefficients[:, 0] += self._joint_map.offset
         proof.set_motion(knots, _contiguous(coefficients))
         return proof
 
     def _set_line(self, proof: ClearanceProof, start: Array, end: Array) -> None:
-        """Takes the straight line between two positions of all joints, (m,) each, as the motion."""
+        """Takes the straight line between two positions of all joints, (m,) each, or of driven ones of loops, as the motion."""
         proof.set_motion(_UNIT_KNOTS, np.stack([start, end - start])[None])
 
     def names(self, pair: int) -> tuple[str, str]:
         """What a pair is called: bodies, or geoms that stand in the world."""
         first, second = self.geometry.pair_geoms(pair)
         return geom_owner_name(self._model, first), geom_owner_name(self._model, second)
+
+    def refusal(self, hit: Hit) -> str:
+        """Why a proof stopped: which bodies would touch, or that closed loops would not close; one sentence."""
+        if self.opens(hit):
+            return "the closed loops cannot be followed within the limits of their passive joints"
+        return "{1} would touch {0}".format(*self.names(hit.pair))
 
     def require_provable(self) -> None:
         """Raises ModelError if a proof does not cover a link or a geom: one without a shape, or one that is not convex."""
@@ -223,11 +239,16 @@ class CollisionChecker:
         are_neighbors = np.array(
             [len(joints_between(p)) == 1 and not stands_alone(self._model, *bodies[p]) for p in range(len(at_home))], bool
         )
+        pinned = pinned_bodies(self._model)
+        if pinned:
+            are_neighbors |= np.array([frozenset(self._model.body_weldid[pair].tolist()) in pinned for pair in bodies], bool)
         return always | (at_home & are_neighbors)
 
     def _proved_by_one_joint(self) -> BoolArray:
         """(K,) pairs that one joint alone moves, and that never touch over its whole range."""
         proved = np.zeros(len(self.geometry.pairs), bool)
+        if self._joint_map.closure is not None:  # a joint of a loop does not move alone
+            return proved
         low = self._joint_map.positions(np.maximum(self._limits.q_min, self._home - np.pi))
         high = self._joint_map.positions(np.minimum(self._limits.q_max, self._home + np.pi))
         is_endless = ~np.isfinite(self._limits.q_max - self._limits.q_min)

@@ -166,6 +166,16 @@ def _clearance_of(
             clearance=clearance,
             reason=what,
         )
+    if checker.opens(hit):
+        return ClearanceCheck(
+            ok=False,
+            distance=_UNKNOWN,
+            time=hit.time,
+            first="",
+            second="",
+            clearance=clearance,
+            reason=f"{checker.refusal(hit)}, at {hit.time:.3f} s",
+        )
     q = trajectory(hit.time).q
     pair, distance = checker.nearest(q)
     first, second = checker.names(pair)

@@ -16,6 +16,7 @@ import numpy as np
 from armctl._core import CollisionModel, ShapeKind
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.model.arm.joint_map import JointMap
+from armctl.model.arm.loop_closure import LoopClosure
 from armctl.model.mjmodel.queries import DISABLES_CONTACTS, is_below, placed
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -95,17 +96,20 @@ class Geometry:
     shapes: Sequence[GeomShape]  # their shapes
     frames: Frames  # what moves them
     arrays: dict[str, Any]  # what the core takes, without the pairs
+    closure: LoopClosure | None  # of closed loops
     core: CollisionModel  # the model in the core
     pairs: IntArray  # (K, 2) the shapes of each pair
     margins: Array  # (K,) m, the distance at which MuJoCo makes a contact of each pair
 
     def with_pairs(self, keep: BoolArray) -> Geometry:
         """The same geometry with the pairs that `keep` (K,) marks."""
-        return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs[keep], self.margins[keep])
+        return _geometry(
+            self.geom_ids, self.shapes, self.frames, self.arrays, self.closure, self.pairs[keep], self.margins[keep]
+        )
 
     def with_margins(self, margins: Array) -> Geometry:
         """The same geometry with other margins (K,), m."""
-        return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs, frozen(margins))
+        return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.closure, self.pairs, frozen(margins))
 
     def joints_between(self, pair: int) -> list[int]:
         """The joints that move one geom of a pair relative to the other: rows of the joint map."""
@@ -176,7 +180,7 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     shapes = [_shape(model, data, int(geom), int(frames.of_body[model.geom_bodyid[geom]])) for geom in geom_ids]
     arrays = _arrays(frames, shapes, joint_map)
     rows = np.searchsorted(geom_ids, pairs)
-    return _geometry(frozen(geom_ids), shapes, frames, arrays, rows, contact_margins(model, pairs))
+    return _geometry(frozen(geom_ids), shapes, frames, arrays, joint_map.closure, rows, contact_margins(model, pairs))
 
 
 def contact_margins(model: mujoco.MjModel, pairs: IntArray) -> Array:
@@ -199,13 +203,26 @@ def contact_margins(model: mujoco.MjModel, pairs: IntArray) -> Array:
 
 
 def _geometry(
-    geom_ids: IntArray, shapes: Sequence[GeomShape], frames: Frames, arrays: dict[str, Any], pairs: IntArray, margins: Array
+    geom_ids: IntArray,
+    shapes: Sequence[GeomShape],
+    frames: Frames,
+    arrays: dict[str, Any],
+    closure: LoopClosure | None,
+    pairs: IntArray,
+    margins: Array,
 ) -> Geometry:
     first_geoms, second_geoms = np.ascontiguousarray(pairs.T, np.int64)
     margins = np.ascontiguousarray(margins, np.float64)
     core = CollisionModel(**arrays, first_geoms=first_geoms, second_geoms=second_geoms, margins=margins)
     return Geometry(
-        geom_ids=geom_ids, shapes=shapes, frames=frames, arrays=arrays, core=core, pairs=frozen(pairs), margins=frozen(margins)
+        geom_ids=geom_ids,
+        shapes=shapes,
+        frames=frames,
+        arrays=arrays,
+        closure=closure,
+        core=core if closure is None else core.with_loops(closure.core),
+        pairs=frozen(pairs),
+        margins=frozen(margins),
     )
 
 
@@ -221,8 +238,8 @@ def _arrays(frames: Frames, shapes: Sequence[GeomShape], joint_map: JointMap) ->
         "references": frames.references,
         "parents": frames.parents,
         "joints": frames.joints,
-        "n": joint_map.ratio.shape[1],
-        "ratio": joint_map.ratio,
+        "n": joint_map.fixed_ratio.shape[1],
+        "ratio": joint_map.fixed_ratio,
         "joint_offset": joint_map.offset,
         "kinds": np.array([int(shape.kind) for shape in shapes], np.int64),
         "frames": np.array([shape.frame for shape in shapes], np.int64),

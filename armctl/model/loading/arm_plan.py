@@ -8,19 +8,22 @@ from itertools import permutations
 
 import mujoco
 
-from armctl.core.errors import InputError, ModelError, UnknownNameError
+from armctl.core.errors import InputError, ModelError, UnknownNameError, few_names
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, instance, shown
+from armctl.model.arm.joint_map import JointMap
 from armctl.model.loading.actuators import actuator_notes, dc_motors
 from armctl.model.loading.base import BASE_JOINTS, base_joints
 from armctl.model.loading.catalog import Source
 from armctl.model.loading.chain import chain_to, end_note, find_chain, held_note, several_limbs
+from armctl.model.loading.home import keyframe_qpos
 from armctl.model.loading.joint_limits import JointData, datasheet_limits, default_speeds, torque_limits
 from armctl.model.loading.tip import Tip, axis_note, named_tip, tip_of_chain
 from armctl.model.loading.unit_checks import unit_doubts
 from armctl.model.loading.urdf import speed_limits
+from armctl.model.mjmodel.closed_loops import LoopGroup
 from armctl.model.mjmodel.dc_motor import DcMotor
-from armctl.model.mjmodel.queries import Joints, body_name, body_named, is_below, joint_name, object_id
+from armctl.model.mjmodel.queries import Joints, body_name, body_named, is_below, joint_name, joints_above, object_id
 from armctl.model.mjmodel.transmissions import Transmission, Transmissions
 
 
@@ -51,6 +54,7 @@ class ArmPlan:
     info_notes: tuple[str, ...]  # what needs no warning, one sentence each
     further_tips: tuple[Tip, ...] = ()  # numbered as the tip
     base: str = "fixed"  # or "planar" or "free"
+    loops: tuple[LoopGroup, ...] = ()  # the closed loops that its joints are in
 
     def renumbered(self, number: Callable[[int], int]) -> ArmPlan:
         """The same arm in another model, in which the bodies of the tips have other numbers."""
@@ -143,7 +147,7 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
     """What an arm will be; its first chain is that of its first tip."""
     model = analysis.model
     (chain, tip), *others = chains
-    joints = _depth_first([each for each, _ in chains])
+    joints = _with_loops(analysis, [each for each, _ in chains])
     transmissions = analysis.of_chain(joints)
     before = base_joints(model, ends.moving_base)
     own = transmissions[len(before) :]
@@ -154,7 +158,9 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
         datasheet = datasheet.behind(default_speeds(model, transmissions[: len(before)]))
     motors = dc_motors(source, model, transmissions)
     own_limit = "actfrcrange" if source.urdf is None else "URDF effort"
-    torques = torque_limits(model, transmissions, datasheet, motors, own_limit, added=len(before))
+    loops = tuple(dict.fromkeys(analysis.loops[joint] for joint in joints if joint in analysis.loops))
+    closed = JointMap.from_transmissions(model, joints, transmissions, loops, keyframe_qpos(model)) if loops else None
+    torques = torque_limits(model, transmissions, datasheet, motors, own_limit, added=len(before), closed=closed)
     warned, quiet = actuator_notes(analysis, joints, transmissions, motors)
     driven = tuple(joint for joint in joints if joint not in analysis.springs)
     doubts = unit_doubts(model, driven, tip.body, tip.T_body_tip.position)
@@ -176,10 +182,30 @@ def _described(source: Source, analysis: Transmissions, chains: Sequence[tuple[J
             *(note for each, _ in chains for note in end_note(analysis, each)),
             *(axis_note(model, chain, tip) if is_chosen else []),
         ),
-        info_notes=(*quiet, *(held if ends.tip is None or others else [])),
+        info_notes=(*quiet, *_loop_notes(model, loops), *(held if ends.tip is None or others else [])),
         further_tips=tuple(other for _, other in others),
         base=ends.moving_base or "fixed",
+        loops=loops,
     )
+
+
+def _loop_notes(model: mujoco.MjModel, loops: Sequence[LoopGroup]) -> list[str]:
+    """One sentence for each closed loop."""
+    notes = []
+    for loop in loops:
+        passive = few_names([joint_name(model, joint) for joint in loop.passive])
+        drivers = few_names([joint_name(model, joint) for joint in loop.drivers])
+        notes.append(f"closed loops: {passive} have no motor and follow {drivers}")
+    return notes
+
+
+def _with_loops(analysis: Transmissions, chains: Sequence[Joints]) -> Joints:
+    """All joints of chains as for `_depth_first`, and those of the closed loops that they are in."""
+    model = analysis.model
+    base = int(model.body_parentid[model.jnt_bodyid[chains[0][0]]])
+    loops = dict.fromkeys(analysis.loops[joint] for chain in chains for joint in chain if joint in analysis.loops)
+    paths = [joints_above(model, int(model.jnt_bodyid[joint]), base) for loop in loops for joint in loop.joints]
+    return _depth_first([*chains, *paths])
 
 
 def _depth_first(chains: Sequence[Joints]) -> Joints:

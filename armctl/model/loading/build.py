@@ -12,8 +12,8 @@ from armctl.model.arm.arm import Arm, Recipe
 from armctl.model.arm.joint_map import JointMap
 from armctl.model.arm.pinocchio_model import TipFrame, build_pinocchio_model
 from armctl.model.loading.arm_plan import ArmPlan
-from armctl.model.loading.home import home_controls, home_qpos
-from armctl.model.loading.joint_limits import joint_limits
+from armctl.model.loading.home import closed_home, home_controls, home_qpos
+from armctl.model.loading.joint_limits import joint_limits, position_limits
 from armctl.model.mjmodel.target_marker import set_target_start
 
 _TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached
@@ -39,8 +39,13 @@ def make_arms(
 
 def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Sequence[str], recipe: Recipe | None) -> Arm:
     """An arm in a model at home, with the controls of keyframes that are not cleared yet."""
-    joint_map = JointMap.from_transmissions(model, plan.joints, plan.transmissions)
-    limits, sources, defaults = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet, plan.dc_motors)
+    joint_map = JointMap.from_transmissions(model, plan.joints, plan.transmissions, plan.loops, qpos)
+    closed = joint_map if joint_map.closure is not None else None
+    if closed is not None:
+        qpos = closed_home(model, joint_map, position_limits(model, plan.transmissions), qpos)
+    limits, sources, defaults = joint_limits(
+        model, plan.transmissions, qpos, plan.tau_max, plan.datasheet, plan.dc_motors, closed
+    )
     actuation = Actuation.from_model(model, joint_map, plan.transmissions, limits)
     home = frozen(limits.clamp(qpos[actuation.qpos_adr]))  # joints that others follow may have narrower limits than their range
     whole = qpos.copy()

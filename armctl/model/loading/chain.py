@@ -11,6 +11,7 @@ import numpy as np
 
 from armctl.core.errors import ModelError, few_names
 from armctl.core.validation import shown
+from armctl.model.loading.rods import without_rods
 from armctl.model.loading.tip import tip_of_chain
 from armctl.model.mjmodel.queries import (
     Joints,
@@ -105,6 +106,7 @@ def several_limbs(analysis: Transmissions, base: int = 0, before: Joints = ()) -
     behind = {run.joints[len(before) :] for run in _longest(runs) if run.base == 0 and run.joints[: len(before)] == before}
     ends = {joints[: fingers.end_of_arm(joints)] for joints in behind if joints}
     limbs = sorted({end for end in ends if not any(end == other[: len(end)] and end != other for other in ends)})
+    limbs = without_rods(analysis, limbs)
     if len(limbs) < 2:
         return []
     without_wheels = [limb for limb in limbs if not _is_wheel(model, limb, limbs)]
@@ -130,7 +132,7 @@ def find_chain(analysis: Transmissions, base: int = 0) -> Joints:
     model = analysis.model
     actuated = _actuated_runs(analysis, base)
     fingers = _FingerSearch(analysis, actuated)
-    runs = {run[: fingers.end_of_arm(run)] for run in actuated}
+    runs = set(without_rods(analysis, sorted({run[: fingers.end_of_arm(run)] for run in actuated})))
     longest = max((len(run) for run in runs), default=0)
     if longest == 0:
         raise ModelError(_why_no_arm(analysis, base))
@@ -226,6 +228,10 @@ def _coupled_above(analysis: Transmissions, base: int, joints: Joints) -> str:
     """Which joint of a chain is coupled to one that carries the chain's base; empty if none is."""
     model = analysis.model
     above = joints_above(model, base)
+    for joint in (joint for joint in joints if joint in analysis.loops):
+        for other in set(analysis.loops[joint].joints) & set(above):
+            name = shown(joint_name(model, joint))
+            return f"joint {name} is in a closed loop with {shown(joint_name(model, other))}, which carries the base"
     for transmission in analysis.of_chain(joints):
         for other in transmission.coupled.keys() & set(above):
             name = shown(joint_name(model, transmission.joint))
@@ -256,7 +262,7 @@ def _refusal(analysis: Transmissions, joint: int) -> str:
     """Why a joint cannot be part of an arm; empty if it can."""
     if is_free(analysis.model, joint):
         return _free_base_reason(analysis.model, joint)
-    if joint in analysis.springs:
+    if joint in analysis.springs or joint in analysis.passive:
         return ""
     transmission = analysis.of(joint)
     return transmission if isinstance(transmission, str) else ""
@@ -294,9 +300,14 @@ def _actuated_runs(analysis: Transmissions, base: int) -> set[Joints]:
     for body in range(base + 1, model.nbody):
         parent = int(model.body_parentid[body])
         own = joints_of(model, body)
-        if parent in run and all(joint in analysis.actuators or joint in analysis.springs for joint in own):
+        if parent in run and all(_moves(analysis, joint) for joint in own):
             run[body] = run[parent] + own
     return {r for r in run.values() if r}
+
+
+def _moves(analysis: Transmissions, joint: int) -> bool:
+    """Whether a motor moves a joint: its own, or one through a spring or a closed loop."""
+    return joint in analysis.actuators or joint in analysis.springs or joint in analysis.passive
 
 
 class _FingerSearch:
@@ -346,8 +357,8 @@ def _is_wheel(model: mujoco.MjModel, limb: Joints, limbs: Sequence[Joints]) -> b
 
 def _is_jaw(analysis: Transmissions, joint: int) -> bool:
     model = analysis.model
-    motor = analysis.actuators[analysis.springs.get(joint, joint)]
-    names = (joint_name(model, joint), actuator_name(model, motor))
+    motor = analysis.actuators.get(analysis.springs.get(joint, joint), -1)
+    names = (joint_name(model, joint), actuator_name(model, motor) if motor >= 0 else "")
     body = int(model.jnt_bodyid[joint])
     is_named_jaw = any(map(_JAW_NAME.search, names)) or _JAW_BODY_NAME.search(body_name(model, body))
     return bool(is_named_jaw) or (

@@ -5,7 +5,9 @@ import math
 import mujoco
 import numpy as np
 
+from armctl.core.errors import ModelError
 from armctl.core.validation import Array, frozen
+from armctl.model.arm.joint_map import JointMap
 from armctl.model.mjmodel.queries import (
     Joints,
     actuator_name,
@@ -52,6 +54,25 @@ def home_qpos(model: mujoco.MjModel, joints: Joints) -> Array:
         else:
             qpos[address] = 0.5 * (low + high)
     return frozen(qpos)
+
+
+def closed_home(model: mujoco.MjModel, joint_map: JointMap, limits: tuple[Array, Array], qpos: Array) -> Array:
+    """(nq,) qpos with the joints of closed loops where they close: near qpos if possible, else near the loops' reference.
+
+    `limits` (n,) each are those of the arm's joints. ModelError if the loops close at neither with all joints in their limits.
+    """
+    closure = joint_map.closure
+    assert closure is not None
+    reasons = []
+    for q in (qpos[joint_map.qpos_adr[joint_map.leaders]], closure.arguments["reference_q"]):
+        q = np.clip(q, *limits)
+        _, reason = closure.first_refusal(q[None])
+        if not reason:
+            found = qpos.copy()
+            joint_map.set_positions(found, q)
+            return frozen(found)
+        reasons.append(reason)
+    raise ModelError(f"{reasons[0]}; write a keyframe 'home' in which the loop is closed")
 
 
 def home_controls(model: mujoco.MjModel) -> Array:

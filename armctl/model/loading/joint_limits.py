@@ -90,6 +90,7 @@ def torque_limits(
     motors: Sequence[DcMotor | None],
     joint_limit: str = "actfrcrange",  # what the file calls the joint's own limit
     added: int = 0,  # how many of the first joints armctl added: their motors are none of the robot's
+    closed: JointMap | None = None,  # the joint map of an arm with closed loops
 ) -> TorqueLimits:
     """The torque limits of an arm's joints in a model as compiled from its file, with its own actuators.
 
@@ -122,7 +123,7 @@ def torque_limits(
             _check_voltage_is_known(model, transmissions[i], motors[i])
         published = None if datasheet is None else datasheet.v_max
         v_max = default_speeds(model, transmissions) if published is None else published
-        tau[unknown] = _assumed_torque(model, transmissions, v_max)[unknown]
+        tau[unknown] = _assumed_torque(model, transmissions, v_max, closed)[unknown]
         sources.add("assumed")
         noted = [i for i in np.flatnonzero(unknown).tolist() if i >= added]
         notes = (_assumed_torque_note(model, [transmissions[i].joint for i in noted], tau[noted]),) if noted else ()
@@ -136,6 +137,7 @@ def joint_limits(
     tau_max: Array,
     datasheet: JointData | None,
     motors: Sequence[DcMotor | None],
+    closed: JointMap | None = None,
 ) -> tuple[Limits, dict[str, str], frozenset[str]]:
     """The limits of an arm, where each kind comes from, and the kinds that are defaults, at least for some joints.
 
@@ -144,7 +146,7 @@ def joint_limits(
     A joint that others follow goes only as far as all of them can. The default speed is 2 rad/s (0.5 m/s), of a DC motor
     that without a load. The default acceleration is half of what the torque beyond gravity gives the joint at home if all
     joints accelerate together (a row sum of the mass matrix), at most ten times the speed per second. The default jerk
-    reaches the acceleration in 0.05 s.
+    reaches the acceleration in 0.05 s. `closed` is the joint map of an arm with closed loops.
     """
     q_min, q_max = position_limits(model, transmissions)
     given = JointData("default") if datasheet is None else datasheet
@@ -157,7 +159,7 @@ def joint_limits(
     j_max = given.j_max
     if a_max is None:
         with np.errstate(over="ignore", invalid="ignore"):  # a model may state any speed and any mass
-            M, gravity = _inertia_and_gravity(model, transmissions, home_qpos)
+            M, gravity = _inertia_and_gravity(model, transmissions, home_qpos, closed)
             inertia = np.abs(M).sum(axis=1)
             _check_inertia(model, transmissions, inertia, gravity)
             headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
@@ -355,7 +357,9 @@ def _range(model: mujoco.MjModel, transmission: Transmission) -> tuple[float, fl
     return low, high
 
 
-def _assumed_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission], v_max: Array) -> Array:
+def _assumed_torque(
+    model: mujoco.MjModel, transmissions: Sequence[Transmission], v_max: Array, closed: JointMap | None
+) -> Array:
     """(n,) N m: twice gravity at rest, at worst over the ranges, a moderate acceleration, and friction at full speed."""
     joints = [transmission.joint for transmission in transmissions]
     worst = np.zeros(len(joints))
@@ -364,9 +368,11 @@ def _assumed_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission]
     limits = Limits(q_min=q_min, q_max=q_max, v_max=unlimited, a_max=unlimited, j_max=unlimited, tau_max=unlimited)
     drawn = model.qpos0[model.jnt_qposadr[joints]]
     for q in limits.random(limits.clamp(drawn), _TORQUE_SAMPLES, np.random.default_rng(0)):
+        if closed is not None and closed.closure is not None:
+            q = closed.closure.near_reference(q - closed.closure.arguments["reference_q"])
         qpos = model.qpos0.copy()
         qpos[model.jnt_qposadr[joints]] = q
-        M, gravity = _inertia_and_gravity(model, transmissions, qpos)
+        M, gravity = _inertia_and_gravity(model, transmissions, qpos, closed)
         worst = np.maximum(worst, 2 * np.abs(gravity) + _ASSUMED_ACCELERATION * np.diag(M))
     return worst + _friction_torque(model, transmissions, v_max)
 
@@ -401,15 +407,18 @@ def _check_inertia(model: mujoco.MjModel, transmissions: Sequence[Transmission],
             raise ModelError(f"joint {name}: it moves an inertia of {moved:g}; check masses and inertias or give an armature")
 
 
-def _inertia_and_gravity(model: mujoco.MjModel, transmissions: Sequence[Transmission], qpos: Array) -> tuple[Array, Array]:
+def _inertia_and_gravity(
+    model: mujoco.MjModel, transmissions: Sequence[Transmission], qpos: Array, closed: JointMap | None
+) -> tuple[Array, Array]:
     """(n, n) mass matrix and (n,) gravity torque of an arm by MuJoCo, all coupled joints included."""
     leaders = [transmission.joint for transmission in transmissions]
-    joint_map = JointMap.from_transmissions(model, tuple(leaders), transmissions)
+    joint_map = closed or JointMap.from_transmissions(model, tuple(leaders), transmissions)
     data = mujoco.MjData(model)
     full = np.zeros((model.nv, model.nv))
     data.qpos[:] = qpos
-    joint_map.set_positions(data.qpos, qpos[model.jnt_qposadr[leaders]])
+    q = qpos[model.jnt_qposadr[leaders]]
+    joint_map.set_positions(data.qpos, q)
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     mujoco.mj_fullM(model, data, full)
-    return joint_map.reduced_matrix(full), joint_map.reduced(data.qfrc_bias - data.qfrc_gravcomp)
+    return joint_map.reduced_matrix(full, q), joint_map.reduced(data.qfrc_bias - data.qfrc_gravcomp, q)

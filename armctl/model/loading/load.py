@@ -290,7 +290,8 @@ def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Loa
         warnings.warn(MissingShapeWarning(f"{name}: {note}", note), stacklevel=4)
         warned.append(prepared.shape_note)
     check_joint_parameters(prepared.model)
-    open_loops = open_loop_notes(prepared.model, home_qpos(prepared.model, _joints(prepared.plans)))
+    own = {equality for plan in prepared.plans for loop in plan.loops for equality in loop.equalities}
+    open_loops = open_loop_notes(prepared.model, home_qpos(prepared.model, _joints(prepared.plans)), own)
     notes = [*warned, *prepared.info_notes, *open_loops]
     arms = make_arms(name, prepared.model, prepared.plans, notes, recipe, prepared.unchecked_links)
     for arm in arms:

@@ -1,6 +1,7 @@
 """Checks of a model before it becomes an arm: what armctl refuses, and what it notes."""
 
 import math
+from collections.abc import Collection
 
 import mujoco
 import numpy as np
@@ -68,9 +69,13 @@ def check_mass_matrix(arm: Arm) -> None:
         )
 
 
-def open_loop_notes(model: mujoco.MjModel, qpos: Array) -> list[str]:
-    """A sentence for each connect or weld equality that is not closed at qpos (nq,), except those that pull at a mocap body."""
-    loops = [e for e in range(model.neq) if model.eq_active0[e] and int(model.eq_type[e]) in LOOP_EQUALITIES]
+def open_loop_notes(model: mujoco.MjModel, qpos: Array, own: Collection[int]) -> list[str]:
+    """A sentence for each connect or weld equality that is not closed at qpos (nq,).
+
+    Left out are those that pull at a mocap body, and an arm's `own`, which are closed at its home.
+    """
+    active = [e for e in range(model.neq) if model.eq_active0[e] and e not in own]
+    loops = [e for e in active if int(model.eq_type[e]) in LOOP_EQUALITIES]
     if not loops:
         return []
     data = mujoco.MjData(model)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 
+from armctl.core.errors import few_names
 from armctl.core.note import Note
 from armctl.model.loading.actuators import mend_solver
 from armctl.model.loading.arm_plan import ArmPlan
@@ -13,11 +14,13 @@ from armctl.model.loading.catalog import Source
 from armctl.model.loading.motors import adapt_keyframes, make_motors, make_motors_in_model
 from armctl.model.loading.neighbor_contacts import overlapping_neighbors, touching_links, unavoidable_contacts
 from armctl.model.mjmodel.edit import add_payload_bodies, payload_body
-from armctl.model.mjmodel.queries import body_name
+from armctl.model.mjmodel.queries import body_name, name_of
 from armctl.model.mjmodel.target_marker import add_target, find_target
 from armctl.model.mjmodel.transmissions import Transmissions
 
 _MAX_NAMES_CHARACTERS = 200  # of links in a note
+# MuJoCo's mjMAXIMP: of the loops of an arm, whose closure all but the simulation takes as exact
+_STIFF_IMPEDANCE = 0.9999
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,11 @@ def make_arm_model(
     for plan in plans:
         notes += make_motors(spec, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
     excluded += mend_solver(original, spec.option)
+    loops = {each.id: each for each in spec.equalities}
+    for equality in _loops_of(plans):
+        loops[equality].solref = (2 * spec.option.timestep, 1.0)
+        loops[equality].solimp[:3] = (_STIFF_IMPEDANCE, _STIFF_IMPEDANCE, loops[equality].solimp[2])
+    excluded += _stiff_notes(original, plans)
     adapt_keyframes(spec, analysis, [plan.transmissions for plan in plans])
     for plan in plans:
         neighbors = overlapping_neighbors(original, plan.joints)
@@ -74,6 +82,19 @@ def make_arm_model(
     model = source.compile(spec)
     renumbered = tuple(plan.renumbered(lambda body: bodies[body].id) for plan in plans)
     return PreparedModel(model=model, plans=renumbered, notes=tuple(notes), info_notes=tuple(excluded))
+
+
+def _loops_of(plans: Sequence[ArmPlan]) -> list[int]:
+    """The equalities that close loops over the joints of some arms."""
+    return [equality for plan in plans for loop in plan.loops for equality in (*loop.equalities, *loop.ties, *loop.couplings)]
+
+
+def _stiff_notes(model: mujoco.MjModel, plans: Sequence[ArmPlan]) -> list[str]:
+    """One sentence on loops that a simulation holds more stiffly than the file says, or none."""
+    names = [name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality) for equality in _loops_of(plans)]
+    if not names:
+        return []
+    return [f"the constraints of {few_names(names)} are as stiff as the time step permits: the loops count as rigid"]
 
 
 def _exclude_touching(
@@ -109,7 +130,11 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
         if payload_body(original, plan.tip.body) is None:
             body = body_name(original, plan.tip.body)
             notes.append(f"gravcomp lifts {body} and would also lift a payload; pass the MjSpec for correct payloads")
+    loops = _loops_of(plans)
+    model.eq_solref[loops] = (2 * model.opt.timestep, 1.0)
+    model.eq_solimp[loops, :2] = _STIFF_IMPEDANCE
     mujoco.mj_setConst(model, mujoco.MjData(model))
     mended = mend_solver(model, model.opt)
-    quiet = [] if find_target(model) else ["the model has no target marker, and a compiled model cannot get one"]
+    quiet = _stiff_notes(original, plans)
+    quiet += [] if find_target(model) else ["the model has no target marker, and a compiled model cannot get one"]
     return PreparedModel(model=model, plans=tuple(plans), notes=tuple(notes), info_notes=(*mended, *quiet))

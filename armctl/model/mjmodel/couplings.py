@@ -1,5 +1,7 @@
 """What couples the joints of a model besides the links: tendons and equality constraints."""
 
+from collections.abc import Collection
+
 import mujoco
 import numpy as np
 
@@ -13,10 +15,15 @@ LOOP_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 class Couplings:
     """The equalities and tendons of a compiled model and the degrees of freedom they act on, found once."""
 
-    def __init__(self, model: mujoco.MjModel):
-        """Finds what each equality and each tendon acts on."""
+    def __init__(self, model: mujoco.MjModel, left_out: Collection[int] = (), remarks: dict[int, str] | None = None):
+        """Finds what each equality and each tendon acts on.
+
+        `left_out` are equalities that do not count; `remarks` on others end the sentences about them.
+        """
         self.model = model
-        self._dofs_of_equality = {e: frozenset(dofs_of_equality(model, e)) for e in range(model.neq) if model.eq_active0[e]}
+        self._remarks = remarks or {}
+        active = [e for e in range(model.neq) if model.eq_active0[e] and e not in left_out]
+        self._dofs_of_equality = {e: frozenset(dofs_of_equality(model, e)) for e in active}
         self._dofs_of_tendon = {t: frozenset(dofs_of_tendon(model, t)) for t in range(model.ntendon)}
         self._equalities = _by_dof(self._dofs_of_equality)
         self._tendons = _by_dof(self._dofs_of_tendon)
@@ -42,7 +49,8 @@ class Couplings:
             label = shown(name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality))
             name = shown(joint_name(model, joint))
             if model.eq_type[equality] in LOOP_EQUALITIES:
-                return f"the equality {label} closes a loop over joint {name}"
+                remark = self._remarks.get(equality, "")
+                return f"the equality {label} closes a loop over joint {name}" + (f", and {remark}" if remark else "")
             return f"joint {name} is coupled to another by the equality {label}"
         return ""
 

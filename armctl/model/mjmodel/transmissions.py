@@ -12,6 +12,7 @@ import numpy as np
 
 from armctl.core.errors import ModelError
 from armctl.core.validation import shown
+from armctl.model.mjmodel.closed_loops import find_loops, loop_equalities
 from armctl.model.mjmodel.couplings import Couplings, tendon_coefficients
 from armctl.model.mjmodel.queries import (
     SCALAR,
@@ -59,12 +60,20 @@ class Transmission:
 class Transmissions:
     """The transmissions of a compiled model. Each joint is analysed once."""
 
-    def __init__(self, model: mujoco.MjModel):
-        """Reads the actuators, equalities and tendons of a model."""
+    def __init__(self, model: mujoco.MjModel, *, opened: bool = False):
+        """Reads the actuators, equalities and tendons of a model. If it is `opened`, loops of links tie no joints."""
         self.model = model
         self.moments = [moments_of(model, actuator) for actuator in range(model.nactuator)]  # `nu` counts controls
-        self._couplings = Couplings(model)
+        candidates = loop_equalities(model)
+        loops = find_loops(model, Transmissions(model, opened=True).mimics_of) if candidates and not opened else []
+        # Closed loops that move with their motors, by each of their joints
+        self.loops = {joint: loop for loop in loops if not loop.reason for joint in loop.joints}
+        self.passive = {joint: loop for joint, loop in self.loops.items() if joint in loop.passive}  # joints without a motor
+        kept = {equality for loop in self.loops.values() for equality in (*loop.equalities, *loop.ties)}
+        remarks = {equality: loop.reason for loop in loops for equality in loop.equalities}
+        self._couplings = Couplings(model, candidates if opened else kept, remarks)
         self._known: dict[int, Transmission | str] = {}
+        self._without_motor: set[int] = set()  # of the joints that were analysed
         self._acting_on: dict[int, list[int]] = {}
         for actuator, moments in enumerate(self.moments):
             for joint in moments:
@@ -79,11 +88,12 @@ class Transmissions:
     def of_chain(self, joints: Joints) -> tuple[Transmission, ...]:
         """One transmission per driven degree of freedom of a chain, from the base to the tip; ModelError if one has none.
 
-        The joint of each is the first of its coupled joints in the chain.
+        The joint of each is the first of its coupled joints in the chain. All motors of a closed loop belong to a chain
+        that has joints of it; in the place of a passive joint are those that are not in the chain.
         """
         found: list[Transmission] = []
         covered: set[int] = set()
-        for joint in joints:
+        for joint in self._with_drivers(joints):
             if joint in covered or joint in self.springs:
                 continue
             transmission = self.of(joint)
@@ -92,6 +102,21 @@ class Transmissions:
             found.append(transmission)
             covered |= transmission.coupled.keys()
         return tuple(found)
+
+    def _with_drivers(self, joints: Joints) -> list[int]:
+        """A chain without its passive joints, and with the drivers of its loops that are not in it."""
+        found: list[int] = []
+        for joint in joints:
+            found += [each for each in self.passive[joint].drivers if each not in joints] if joint in self.passive else [joint]
+        missing = [driver for joint in joints if joint in self.loops for driver in self.loops[joint].drivers]
+        return [*found, *(driver for driver in missing if driver not in found)]
+
+    def mimics_of(self, joint: int) -> dict[int, float] | str | None:
+        """The joints that a joint's motor moves, and their speeds per its leader's; None without a motor; or the reason."""
+        transmission = self.of(joint)
+        if isinstance(transmission, Transmission):
+            return {other: mimic.ratio for other, mimic in transmission.coupled.items()}
+        return None if joint in self._without_motor else transmission
 
     def acting_on(self, joints: Joints | set[int]) -> list[int]:
         """The actuators that act on these joints and on no other joint, in ascending order."""
@@ -132,6 +157,7 @@ class Transmissions:
         driving, idle = self._driving(coupled)
         others = ", ".join(shown(joint_name(model, j)) for j in coupled if j != joint)
         if not driving:
+            self._without_motor.add(joint)
             return f"joint {name} has no actuator of its own" + (
                 f", nor has {others}, tied to it by equalities" if others else ""
             )

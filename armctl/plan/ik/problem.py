@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl._core import Constraint
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, ModelError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.target import Target, TargetLike
@@ -216,10 +216,23 @@ _chains: dict[int, IkChain] = {}
 
 
 def ik_chain(arm: Arm) -> IkChain:
-    """The chain of an arm, made once for each arm; an InputError if it is no arm, or has several tips."""
+    """The chain of an arm, made once for each arm.
+
+    InputError if it is no arm, or has several tips; ModelError if it has closed loops, which are no chain.
+    """
+    chain = open_chain(arm)
+    if chain is None:
+        raise ModelError(f"{arm.name:.60}: this is not computed for an arm with closed loops; solve_ik is")
+    return chain
+
+
+def open_chain(arm: Arm) -> IkChain | None:
+    """As `ik_chain`; None for an arm with closed loops."""
     chain = _chains.get(id(arm))
     if chain is None:
         check_one_tip(arm)
+        if arm.joint_map.closure is not None:
+            return None
         chain = _make_chain(arm)
         _chains[id(arm)] = chain
         finalize(arm, _chains.pop, id(arm), None)

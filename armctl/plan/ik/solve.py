@@ -22,7 +22,7 @@ from armctl.plan.ik import lm
 from armctl.plan.ik.closed_form_solutions import closed_form_solutions
 from armctl.plan.ik.ik_result import IkResult, failure_reason, no_solution_without_contact
 from armctl.plan.ik.numerical_solutions import numerical_solutions, swept_joints
-from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, ik_chain, read_seed, read_start, read_target, read_tolerance
+from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, open_chain, read_seed, read_start, read_target, read_tolerance
 
 NEAREST_STARTS = 64
 NEAREST_SAMPLE = 64  # solutions of a closed form
@@ -82,7 +82,10 @@ def solve_ik(
         ModelError: Collisions are to be avoided, and a link of the arm has no collision shape.
     """
     # The checks of the usual types are inline: each as a function of its own would take 1 % of the call.
-    if center_of_mass_within is not None or (type(target) is not Pose and isinstance(target, Mapping)):
+    chain = None
+    if center_of_mass_within is None and (type(target) is Pose or not isinstance(target, Mapping)):
+        chain = open_chain(arm)
+    if chain is None or isinstance(target, Mapping):  # with closed loops, too
         from armctl.plan.ik.solve_tree import solve_tree
 
         return solve_tree(
@@ -97,7 +100,6 @@ def solve_ik(
             seed=seed,
             center_of_mass_within=center_of_mass_within,
         )
-    chain = ik_chain(arm)
     if type(target) is Pose and free_axis is None:
         constraint = _POSE
         rows = target.rows

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -51,13 +51,13 @@ def solve_tree(
     tree = TreeTasks(arm, tasks, read_polygon("center_of_mass_within", center_of_mass_within))
     start = read_starts(arm, q0, 1)[0]
     goals = tree.targets(start)
-    contact_at = checkable(arm).at if flag("avoid", avoid) else None
+    refusal_at = _refusal(arm, flag("avoid", avoid))
     enough = NEAREST_STARTS if flag("nearest", nearest) else 0
     best: IkResult | None = None
     rank = (False, False, -np.inf)
     starts = 0
     for found in _candidates(tree, goals, start, tolerances, read_seed(seed)):
-        contact = contact_at(found.q) if found.solved and contact_at is not None else ""
+        contact = refusal_at(found.q) if found.solved else ""
         result = _result(tree, goals, found, tolerances, contact)
         own_rank = (result.ok, found.solved, -float(np.linalg.norm(found.q - start)))
         if best is None or own_rank > rank:
@@ -68,7 +68,27 @@ def solve_tree(
         starts = found.starts
     assert best is not None  # the first candidate is one
     is_blocked = not best.ok and rank[1]
-    return replace(best, reason=no_solution_without_contact(starts, best.reason)) if is_blocked else best
+    if not is_blocked:
+        return best
+    if closed_reason(arm, best.q):
+        return replace(best, reason=f"no solution with closed loops found in {starts} starts: {best.reason}")
+    return replace(best, reason=no_solution_without_contact(starts, best.reason))
+
+
+def closed_reason(arm: Arm, q: Array) -> str:
+    """Why closed loops of an arm do not close at q (n,), or which passive joint leaves its limits there; empty if they do."""
+    closure = arm.joint_map.closure
+    return "" if closure is None else closure.first_refusal(q[None])[1]
+
+
+def _refusal(arm: Arm, avoid: bool) -> Callable[[Array], str]:
+    """What refuses a configuration (n,) at which all tips are: closed loops that do not close there, or a contact."""
+    contact_at = checkable(arm).at if avoid else None
+
+    def refusal_at(q: Array) -> str:
+        return closed_reason(arm, q) or (contact_at(q) if contact_at is not None else "")
+
+    return refusal_at
 
 
 def _candidates(

@@ -20,7 +20,8 @@ from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.arm.core_model import inverse_dynamics
-from armctl.model.arm.passive_forces import DryFriction, PassiveForces
+from armctl.model.arm.passive_forces import DryFriction, PassiveForces, PassiveJoints
+from armctl.plan.motion.loop_check import check_loops
 from armctl.plan.motion.timing.path_timing import slowed_down
 from armctl.plan.motion.timing.speed_bounds import TorqueRows
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
@@ -88,9 +89,11 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
 
     Raises:
         InputError: It is not an arm, not a motion, or a motion of other joints.
+        PlanError: Closed loops of the arm cannot be closed in it, or a passive joint would leave its limits.
     """
     check_arm(arm)
     check_motion(trajectory, arm.joint_names)
+    check_loops(arm, trajectory)
     inverse_dynamics = InverseDynamics(arm)
     ratios = np.zeros(arm.n)
     worst: tuple[float, float, float, int] = (-1.0, 0.0, 0.0, 0)  # share, time, torque, joint
@@ -121,6 +124,7 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
     The motion must end at rest. Raises PlanError if holding still on the path already takes more torque than a motor gives.
     """
     if np.isinf(arm.limits.tau_max).all():
+        check_loops(arm, trajectory)
         return trajectory
     needed = check_torque(arm, trajectory)
     if needed.ok:
@@ -178,6 +182,8 @@ class InverseDynamics:
         self._friction = DryFriction.from_model(arm.model, arm.joint_map)
         self.damping = PassiveForces(arm.model, arm.joint_map).damping_torque
         self.friction_loss = self._friction.loss
+        self._closure = arm.joint_map.closure
+        self._passive_loss = PassiveJoints(arm.model, arm.joint_map).friction.loss
 
     def smooth(self, q: Array, v: Array, a: Array) -> Array:
         """Without dry friction."""
@@ -185,7 +191,14 @@ class InverseDynamics:
 
     def total(self, q: Array, v: Array, a: Array) -> Array:
         """With dry friction."""
-        return self.smooth(q, v, a) + self._friction.torque(v, a)
+        tau = self.smooth(q, v, a) + self._friction.torque(v, a)
+        return tau if self._closure is None else tau + self._passive_friction(q, v)
+
+    def _passive_friction(self, q: Array, v: Array) -> Array:
+        """Against the dry friction of passive joints, (T, n)."""
+        assert self._closure is not None
+        ratios = self._closure.at(q)[1]
+        return np.einsum("tmn,tm->tn", ratios, np.sign(np.einsum("tmn,tn->tm", ratios, v)) * self._passive_loss)
 
     def holding(self, q: Array) -> Array:
         tau = np.empty(q.shape)

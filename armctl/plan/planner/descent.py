@@ -79,6 +79,9 @@ class Descent:
 
     def keep_away(self, motion: JointTrajectory, hit: Hit) -> None:
         """Bounds the samples of a pair more tightly, which comes too near between them."""
+        if self._space.checker.opens(hit):  # no pair of bodies
+            self.last = None
+            return
         times = hit.time + np.linspace(-0.5, 0.5, 33) * motion.duration / self.transcription.pieces
         depth = max(self._space.checker.depth(q, hit.pair) for q in motion.sample(times).q)
         lacking = 1.5 * (self._space.clearance + depth)

@@ -403,7 +403,9 @@ def configurations_for(
         free_axis = keep.name
     found: list[Array] = []
     free = 0
-    starts = [start, arm.home, *arm.limits.random(arm.home, _MAX_IK_TRIES, rng)]
+    drawn = arm.limits.random(arm.home, _MAX_IK_TRIES, rng)
+    closure = arm.joint_map.closure
+    starts = [start, arm.home, *(drawn if closure is None else closure.inward(arm.home, drawn))]
     for tries, q0 in enumerate(starts):
         if free and tries > _IK_TRIES:
             break

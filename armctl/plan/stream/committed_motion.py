@@ -164,8 +164,7 @@ class CommittedMotion:
             return None
         hit = None if self.checker is None else self.checker.motion_hit(pieces.knots, pieces.coefficients, LIVE_CLEARANCE_M)
         if self.checker is not None and hit is not None:
-            first, second = self.checker.names(hit.pair)
-            return Refused(hit.time, f"{second} would touch {first}")
+            return Refused(hit.time, self.checker.refusal(hit))
         reason = "" if self.refusal is None else self.refusal(pieces)
         return Refused(np.inf, reason) if reason else None
 

@@ -27,6 +27,7 @@ from armctl.model.collision.clearance import clearance_of
 from armctl.plan.ik.resting_joints import resting_joints
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.given_duration import lasting
+from armctl.plan.motion.loop_check import check_loops
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.planner.move_free import FreeSpace, move_free_with
@@ -181,6 +182,7 @@ class ControlledArm:
     def run(self, trajectory: Trajectory, dwell: float, until_rest: bool = False) -> Log:
         """Runs a trajectory that starts now, and holds its end for `dwell` seconds, or only until the arm rests."""
         check_motion(trajectory, self.arm.joint_names)
+        check_loops(self.arm, trajectory)
         moving = trajectory.duration
         held = min(dwell, SETTLE_CHECK_INTERVAL_S) if until_rest else dwell
         ticks = ticks_for(moving + held, self.drive.dt)

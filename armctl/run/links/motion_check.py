@@ -26,6 +26,9 @@ class MotionCheck:
         ticks = int(np.ceil(motion.knots[-1] / self._dt - 1e-9))
         rows = sample(motion, self._dt * np.arange(ticks + 2, dtype=np.float64)).q
         reason = self.envelope.refusal(rows, np.repeat(rows[:1], 3, axis=0) if before is None else before, self._dt)
+        closure = self._arm.joint_map.closure
+        if not reason and closure is not None:
+            reason = closure.first_refusal(rows)[1]
         if not reason:
             speed = self.tip_speed_of(motion)
             if speed > _TIP_SPEED_TOLERANCE * self.tip_speed:

@@ -286,6 +286,8 @@ class Robot(Commands):
         if pieces.knots[-1] == 0.0:
             return ""
         hit = checker.motion_hit(pieces.knots, pieces.coefficients, 0.0)
+        if hit is not None and checker.opens(hit):
+            return checker.refusal(hit)
         return "" if hit is None else "{} and {} would touch".format(*checker.names(hit.pair))
 
     def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:

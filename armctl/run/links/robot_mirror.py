@@ -36,7 +36,7 @@ class RobotMirror:
         while len(self._past) > 2 and t - self._past[1][0] > _REST_WINDOW_S:
             self._past.popleft()
         self._joint_map.set_positions(self.data.qpos, q)
-        self._joint_map.set_speeds(self.data.qvel, np.nan_to_num(v))
+        self._joint_map.set_speeds(self.data.qvel, np.nan_to_num(v), q)
         self.data.time = t - self.t0
         mujoco.mj_kinematics(self.model, self.data)
 

@@ -124,7 +124,7 @@ class Drivetrain:
         data.qvel[:] = 0.0
         mujoco.mj_forward(model, data)
         missing = data.qfrc_bias - data.qfrc_passive
-        holding = self.actuation.joint_map.reduced(missing)
+        holding = self.actuation.joint_map.reduced(missing, data.qpos[self.actuation.qpos_adr])
         if self.rotors:
             holding[self.owners] = missing[self.motor_dof[self.owners]]
             moving[self.motor_dof[self.owners]] = moving[self.actuation.dof_adr[self.owners]]

@@ -16,6 +16,7 @@ from armctl.core.progress import progress_bar
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import instance, integer, number
 from armctl.model.arm.arm import Arm, check_arm
+from armctl.plan.motion.loop_check import check_loops
 from armctl.run.execution.move import read_controller
 from armctl.run.sim.plant import Plant, read_plant
 from armctl.run.sim.simulated_arm import SimulatedArm
@@ -61,6 +62,7 @@ def _simulated(
     law = read_controller(controller, arm)
     plant = read_plant(plant)
     check_motion(trajectory, arm.joint_names)
+    check_loops(arm, trajectory)
     dwell = number("dwell", dwell, 0.0)
     start = trajectory(0.0)
     idle = _idle.setdefault(arm, [])

@@ -246,7 +246,7 @@ class Stepper:
         mujoco.mj_resetData(built.model, built.data)
         built.data.qpos[: len(self._home_qpos)] = self._home_qpos
         built.actuation.joint_map.set_positions(built.data.qpos, q)
-        built.actuation.joint_map.set_speeds(built.data.qvel, v)
+        built.actuation.joint_map.set_speeds(built.data.qvel, v, q)
         built.data.ctrl[:] = self._home_ctrl
         built.drivetrain.settle(built.model, built.data)
         mujoco.mj_forward(built.model, built.data)

@@ -44,4 +44,6 @@ class ContactAvoidance:
         if self.checker is None:
             return ""
         hit = self.checker.motion_hit(pieces.knots, pieces.coefficients, self._clearance)
+        if hit is not None and self.checker.opens(hit):
+            return self.checker.refusal(hit)
         return "" if hit is None else "{} and {} would touch".format(*self.checker.names(hit.pair))

@@ -48,6 +48,8 @@ def find_mechanism(model: mujoco.MjModel, dofs: IntArray, actuators: tuple[int, 
     found: dict[int, Transmission] = {}
     free: list[int] = []
     for joint in (int(model.dof_jntid[d]) for d in dofs):
+        if joint in analysis.loops:
+            return None
         transmission = analysis.of(joint)
         if isinstance(transmission, str):
             free.append(joint)
