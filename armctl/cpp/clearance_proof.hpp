@@ -39,8 +39,7 @@ inline double min_motion(double clearance) { return clearance > 0.0 ? std::min(M
 class ClearanceProof {
 public:
     explicit ClearanceProof(std::shared_ptr<CollisionScene> scene)
-        : scene_(std::move(scene)), positions_(scene_->model().joints()), delta_(scene_->model().joints()),
-          interval_(scene_->model().n()) {
+        : scene_(std::move(scene)), positions_(scene_->model().joints()), delta_(scene_->model().joints()), interval_(scene_->model().n()) {
         const Numbers zero(moving());
         motion_.set_line(zero, zero);
     }
@@ -122,9 +121,12 @@ private:
             return Verdict::free;
         }
         switch (interval_.bound(motion_, *scene_->loops(), {piece, begin, end}, positions_, delta_)) {
-            case LoopVerdict::broken: return Verdict::not_free;
-            case LoopVerdict::open: return Verdict::open;
-            default: return Verdict::free;
+            case LoopVerdict::broken:
+                return Verdict::not_free;
+            case LoopVerdict::open:
+                return Verdict::open;
+            default:
+                return Verdict::free;
         }
     }
 

@@ -57,12 +57,12 @@ public:
     }
 
 private:
-    static constexpr double UNKNOWN = 1e300;          // more than any motion
-    static constexpr double LIMIT_TOLERANCE = 1e-9;   // rad (m)
-    static constexpr double NEAR_LIMIT = 1e-4;        // rad (m) of the driven joints: so short an interval at a limit counts as inside
-    static constexpr double SMALLEST = 1e-7;          // rad (m): where so short an interval has no bound, the loops are singular
+    static constexpr double UNKNOWN = 1e300;         // more than any motion
+    static constexpr double LIMIT_TOLERANCE = 1e-9;  // rad (m)
+    static constexpr double NEAR_LIMIT = 1e-4;       // rad (m) of the driven joints: so short an interval at a limit counts as inside
+    static constexpr double SMALLEST = 1e-7;         // rad (m): where so short an interval has no bound, the loops are singular
     static constexpr double ROUNDING = 1e-9;
-    static constexpr double MAX_DELTA = 0.5;          // rad (m)
+    static constexpr double MAX_DELTA = 0.5;  // rad (m)
     static constexpr double GROWTH = 1.1;
     static constexpr int MAX_TRIALS = 12;
 
@@ -136,7 +136,8 @@ private:
                 const double angular = loop.holds_axes ? norm_of(k, row + 3) : 0.0;
                 next_[k] += linear * curved + angular * 0.5 * turned * turned;
                 for (const size_t passive : loops.passive) {
-                    const bool is_on_path = std::ranges::count(paths_[l].first, passive) + std::ranges::count(paths_[l].second, passive) > 0;
+                    const bool is_on_path =
+                        std::ranges::count(paths_[l].first, passive) + std::ranges::count(paths_[l].second, passive) > 0;
                     if (is_on_path) { shares[k] += linear * changes[passive] + angular * turned; }
                 }
             }

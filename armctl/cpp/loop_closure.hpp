@@ -45,25 +45,26 @@ struct TiedJoints {
 };
 
 struct ClosureDescription {
-    std::vector<LoopJoint> joints{};   // m, parents before children
-    Mat ratio;                       // (m, n), zero in the rows of passive joints
-    Numbers offsets;                 // (m,)
-    std::vector<size_t> passive{};     // the joints that no motor drives
+    std::vector<LoopJoint> joints{};  // m, parents before children
+    Mat ratio;                        // (m, n), zero in the rows of passive joints
+    Numbers offsets;                  // (m,)
+    std::vector<size_t> passive{};    // the joints that no motor drives
     std::vector<Loop> loops{};
     std::vector<TiedJoints> ties{};
-    Numbers low;                     // of the passive joints, rad (m)
+    Numbers low;  // of the passive joints, rad (m)
     Numbers high;
-    Numbers reference_q;             // (n,)
-    Numbers reference;               // (m,), closed at reference_q
-    double length = 1.0;             // m, of a typical link: gaps are measured in it
+    Numbers reference_q;  // (n,)
+    Numbers reference;    // (m,), closed at reference_q
+    double length = 1.0;  // m, of a typical link: gaps are measured in it
 };
 
 // Immutable after its construction: threads share it.
 struct LoopClosure {
     explicit LoopClosure(ClosureDescription given)
         : joints(std::move(given.joints)), ratio(std::move(given.ratio)), offsets(std::move(given.offsets)),
-          passive(std::move(given.passive)), low(std::move(given.low)), high(std::move(given.high)), loops(std::move(given.loops)), ties(std::move(given.ties)),
-          reference_q(std::move(given.reference_q)), reference(std::move(given.reference)), length(given.length) {
+          passive(std::move(given.passive)), low(std::move(given.low)), high(std::move(given.high)), loops(std::move(given.loops)),
+          ties(std::move(given.ties)), reference_q(std::move(given.reference_q)), reference(std::move(given.reference)),
+          length(given.length) {
         const size_t m = joints.size();
         if (ratio.rows() != m) { throw InputError("ratio: need a row for each joint"); }
         require_size(offsets, m, "offsets");
@@ -258,9 +259,7 @@ private:
     // Newton's method from the tangent at the last solution to that at `next_q_`. Fills `trial_`.
     bool step_to_next() {
         const LoopClosure& closure = *closure_;
-        for (size_t j = 0; j < closure.m(); ++j) {
-            trial_[j] = dot(closure.ratio.row(j), next_q_, closure.offsets[j]);
-        }
+        for (size_t j = 0; j < closure.m(); ++j) { trial_[j] = dot(closure.ratio.row(j), next_q_, closure.offsets[j]); }
         for (const size_t joint : closure.passive) {
             trial_[joint] = positions_[joint];
             for (size_t i = 0; i < q_.size(); ++i) { trial_[joint] += J_(joint, i) * (next_q_[i] - q_[i]); }
@@ -422,7 +421,7 @@ private:
     Numbers step_;                                       // of the passive joints
     Mat G_;                                              // (rows, m), the derivatives of the errors by all joints
     Mat normal_;                                         // of the passive joints, factorized
-    Mat J_;  // (m, n)
+    Mat J_;                                              // (m, n)
 };
 
 }  // namespace armctl

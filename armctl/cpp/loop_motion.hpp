@@ -28,7 +28,8 @@ public:
         motion.bound(interval.piece, middle, half, q_, delta_q_);
         const LoopVerdict verdict = loops.bound(q_, delta_q_, delta);
         copy(loops.positions(), positions);
-        if (verdict != LoopVerdict::closed || half == 0.0) { return half == 0.0 && verdict == LoopVerdict::open ? LoopVerdict::closed : verdict; }
+        if (half == 0.0 && verdict == LoopVerdict::open) { return LoopVerdict::closed; }
+        if (half == 0.0 || verdict != LoopVerdict::closed) { return verdict; }
         for (const double time : {interval.begin, interval.end}) {
             motion.bound(interval.piece, time, 0.0, end_q_, no_delta_);
             if (!loops.holds(end_q_, positions)) { return LoopVerdict::open; }

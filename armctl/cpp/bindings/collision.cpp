@@ -175,7 +175,8 @@ void bind_scene(nb::module_& module) {
             "nearest_pair", [](CollisionScene& self, const In& q) { return self.nearest_pair(all_positions(self, q)); }, "q"_a, Release(),
             "The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.")
         .def("near_pairs", &find_near_pairs, "q"_a, "moves"_a, "share"_a, "clearances"_a, Release(),
-             "The pairs that moves (m,) of all joints, or with closed loops (n,), from q (n,) can bring nearer by more than a share of what is free, which is\n"
+             "The pairs that moves (m,) of all joints, or with closed loops (n,), from q (n,) can bring nearer by more than a share of "
+             "what is free, which is\n"
              "their distance less their clearance (K,).");
 }
 

@@ -1,9 +1,8 @@
 // Closed loops: positions, speeds and accelerations of joints that no motor drives.
-#include "../loop_motion.hpp"
-
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 
+#include "../loop_motion.hpp"
 #include "arguments.hpp"
 #include "topics.hpp"
 
@@ -19,9 +18,10 @@ int index_of(std::int64_t joint, size_t m) {
 }
 
 // Of each of the m joints: `rotations` (m, 3, 3) and `translations` (m, 3) in the parent's frame at position zero, `slides`,
-// `parents` (-1 for the base), `offsets`, `reference`; `ratio` (m, n) and `reference_q` (n,); the numbers of `passive` joints, and their limits `low` and `high`. Of
-// each loop: `first_joints` and `second_joints` (-1 for the base), `first_placements` and `second_placements` (L, 12), and
-// `holds_axes`. Of each pair of tied joints: `followers`, `leaders` and `terms` (T, 5). `length`, m, is that of a typical link.
+// `parents` (-1 for the base), `offsets`, `reference`; `ratio` (m, n) and `reference_q` (n,); the numbers of `passive` joints, and their
+// limits `low` and `high`. Of each loop: `first_joints` and `second_joints` (-1 for the base), `first_placements` and `second_placements`
+// (L, 12), and `holds_axes`. Of each pair of tied joints: `followers`, `leaders` and `terms` (T, 5). `length`, m, is that of a typical
+// link.
 template <class Given>
 ClosureDescription closure_description(Given& given) {
     const size_t m = given.length("reference");

@@ -234,11 +234,10 @@ class CollisionChecker:
         always = at_home.copy()
         for q in self._limits.random(self._home, SAMPLES, np.random.default_rng(0)):
             always &= self._all_hits(q)
-        joints_between = self.geometry.joints_between
         bodies = self._model.geom_bodyid[self.geometry.geom_ids[self.geometry.pairs]].tolist()
-        are_neighbors = np.array(
-            [len(joints_between(p)) == 1 and not stands_alone(self._model, *bodies[p]) for p in range(len(at_home))], bool
-        )
+        are_neighbors = self.geometry.moved_by_one_joint() >= 0
+        for p in np.flatnonzero(at_home & are_neighbors):
+            are_neighbors[p] = not stands_alone(self._model, *bodies[p])
         pinned = pinned_bodies(self._model)
         if pinned:
             are_neighbors |= np.array([frozenset(self._model.body_weldid[pair].tolist()) in pinned for pair in bodies], bool)
@@ -255,14 +254,15 @@ class CollisionChecker:
         home = self._joint_map.positions(self._home)
         slides = self._model.jnt_type[list(self._joint_map.joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE)
         proof = self.proof()
-        for pair in range(len(proved)):
-            joints = self.geometry.joints_between(pair)
-            if len(joints) != 1 or (slides[joints[0]] and is_endless.any()):
+        moving = self.geometry.moved_by_one_joint()
+        for pair in np.flatnonzero(moving >= 0).tolist():
+            joint = moving[pair]
+            if slides[joint] and is_endless.any():
                 continue
             start = home.copy()
             end = home.copy()
-            start[joints] = low[joints]
-            end[joints] = high[joints]
+            start[joint] = low[joint]
+            end[joint] = high[joint]
             self._set_line(proof, start, end)
             proved[pair] = proof.hit(0.0, pair) is None
         return proved

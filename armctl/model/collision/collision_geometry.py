@@ -79,14 +79,6 @@ class Frames(NamedTuple):
             depths[i + 1] = 1 + depths[parent]
         return depths
 
-    def above(self, frame: int) -> frozenset[int]:
-        """A frame and those above it, without the world."""
-        path = []
-        while frame > 0:
-            path.append(frame)
-            frame = int(self.parents[frame - 1])
-        return frozenset(path)
-
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
@@ -111,11 +103,15 @@ class Geometry:
         """The same geometry with other margins (K,), m."""
         return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.closure, self.pairs, frozen(margins))
 
-    def joints_between(self, pair: int) -> list[int]:
-        """The joints that move one geom of a pair relative to the other: rows of the joint map."""
-        first = self.frames.above(self.shapes[self.pairs[pair, 0]].frame)
-        second = self.frames.above(self.shapes[self.pairs[pair, 1]].frame)
-        return [int(self.frames.joints[frame - 1]) for frame in first ^ second]
+    def moved_by_one_joint(self) -> IntArray:
+        """(K,) the joint, a row of the joint map, that alone moves one geom of a pair relative to the other; -1 if more do."""
+        frame = np.array([shape.frame for shape in self.shapes], np.int64)
+        alone = np.full((len(self.frames.parents) + 1,) * 2, -1)
+        child = np.arange(1, len(alone))
+        alone[child, self.frames.parents] = self.frames.joints
+        alone[self.frames.parents, child] = self.frames.joints
+        first, second = frame[self.pairs].T
+        return alone[first, second]
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
         first, second = self.geom_ids[self.pairs[pair]].tolist()
