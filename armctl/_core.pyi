@@ -205,6 +205,8 @@ class ClearanceProof:
     def closest_approach(self, clearance: float) -> Approach:
         """Proves it, and how near the motion comes."""
 
+PASSIVE_LIMIT_TOLERANCE: float = 1e-09
+
 class LoopClosure:
     """Closed loops of an arm: where its passive joints are. Immutable."""
 

@@ -66,6 +66,7 @@ class ElasticFeedforward(PD):
 
         Raises:
             InputError: A value is negative, not finite or of a wrong length, or a stiffness is 0.
+            ModelError: The arm has closed loops.
         """
         super().__init__(arm, stiffness=stiffness, damping=damping)
         self.elasticity = elasticity
@@ -155,6 +156,7 @@ class ElasticFeedback(ElasticFeedforward):
 
         Raises:
             InputError: A value is outside its bounds, not finite or of a wrong length.
+            ModelError: The arm has closed loops.
         """
         super().__init__(arm, elasticity, rotor_inertia, stiffness=stiffness, damping=damping, friction=friction)
         self.damping_ratio = damping_ratio

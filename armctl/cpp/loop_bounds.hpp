@@ -12,6 +12,8 @@
 
 namespace armctl {
 
+constexpr double PASSIVE_LIMIT_TOLERANCE = 1e-9;  // rad (m): solutions at the limits of passive joints are inside
+
 // What is known of closed loops while the driven joints stay in an interval.
 enum class LoopVerdict {
     closed,  // they stay closed, with all passive joints inside their limits
@@ -37,7 +39,7 @@ public:
         for (const size_t i : closure().drivers) { largest = std::max(largest, delta_q[i]); }
         for (size_t k = 0; k < next_.size(); ++k) {
             const double position = positions()[closure().passive[k]];
-            if (position < closure().low[k] - LIMIT_TOLERANCE || position > closure().high[k] + LIMIT_TOLERANCE) {
+            if (position < closure().low[k] - PASSIVE_LIMIT_TOLERANCE || position > closure().high[k] + PASSIVE_LIMIT_TOLERANCE) {
                 return LoopVerdict::broken;
             }
         }
@@ -51,17 +53,16 @@ public:
     bool holds(Vector q, Vector middle) {
         if (!close(q)) { return false; }
         for (size_t j = 0; j < middle.size(); ++j) {
-            if (!(std::abs(positions()[j] - middle[j]) <= delta_[j] + ROUNDING)) { return false; }
+            if (!(std::abs(positions()[j] - middle[j]) <= delta_[j] + BOX_ROUNDING)) { return false; }
         }
         return true;
     }
 
 private:
-    static constexpr double UNKNOWN = 1e300;         // more than any motion
-    static constexpr double LIMIT_TOLERANCE = 1e-9;  // rad (m)
-    static constexpr double NEAR_LIMIT = 1e-4;       // rad (m) of the driven joints: so short an interval at a limit counts as inside
-    static constexpr double SMALLEST = 1e-7;         // rad (m): where so short an interval has no bound, the loops are singular
-    static constexpr double ROUNDING = 1e-9;
+    static constexpr double UNKNOWN = 1e300;    // more than any motion
+    static constexpr double NEAR_LIMIT = 1e-4;  // rad (m) of the driven joints: so short an interval at a limit counts as inside
+    static constexpr double SMALLEST = 1e-7;    // rad (m): where so short an interval has no bound, the loops are singular
+    static constexpr double BOX_ROUNDING = 1e-9;
     static constexpr double MAX_DELTA = 0.5;  // rad (m)
     static constexpr double GROWTH = 1.1;
     static constexpr int MAX_TRIALS = 12;
@@ -98,7 +99,7 @@ private:
         }
         Numbers linear(next_.size());
         for (size_t k = 0; k < linear.size(); ++k) {
-            linear[k] = delta_[loops.passive[k]] + ROUNDING;
+            linear[k] = delta_[loops.passive[k]] + BOX_ROUNDING;
             delta_[loops.passive[k]] = GROWTH * linear[k];
         }
         for (int trial = 0; trial < MAX_TRIALS; ++trial) {

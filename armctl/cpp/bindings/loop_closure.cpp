@@ -101,6 +101,7 @@ void accelerate_all(const Closure& closure, const In& q, const In& v, const Out&
 }  // namespace
 
 void bind_loop_closure(nb::module_& module) {
+    module.attr("PASSIVE_LIMIT_TOLERANCE") = PASSIVE_LIMIT_TOLERANCE;
     nb::class_<LoopClosure> bound(module, "LoopClosure", "Closed loops of an arm: where its passive joints are. Immutable.");
     const auto make = [](LoopClosure* self, ClosureDescription description) { new (self) LoopClosure(std::move(description)); };
     bind_constructor<>(

@@ -22,7 +22,6 @@ from armctl.model.mjmodel.queries import Joints, joint_name, joint_range, last_j
 
 _WELD = int(mujoco.mjtEq.mjEQ_WELD)
 _MAX_HALVINGS = 10
-_LIMIT_TOLERANCE = 1e-9  # rad (m), of passive joints: solutions at their limits are inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +117,7 @@ class LoopClosure:
         """
         count, positions, _ = self.closed_rows(q)
         own = positions[:count, self.passive]
-        outside = (own < self.q_min - _LIMIT_TOLERANCE) | (own > self.q_max + _LIMIT_TOLERANCE)
+        outside = (own < self.q_min - _core.PASSIVE_LIMIT_TOLERANCE) | (own > self.q_max + _core.PASSIVE_LIMIT_TOLERANCE)
         if outside.any():
             row = int(outside.any(axis=1).argmax())
             k = int(outside[row].argmax())

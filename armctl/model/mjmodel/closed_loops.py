@@ -73,7 +73,14 @@ def find_loops(model: mujoco.MjModel, mimics_of: Callable[[int], dict[int, float
                 driven[joint] = mimics
         ties = tuple(e for e in range(model.neq) if _ties(model, e, passive))
         couplings = tuple(e for e in range(model.neq) if _ties(model, e, list(driven)))
-        group = LoopGroup(tuple(equalities), ties, couplings, tuple(sorted(driven)), tuple(sorted(passive)), reason)
+        group = LoopGroup(
+            equalities=tuple(equalities),
+            ties=ties,
+            couplings=couplings,
+            drivers=tuple(sorted(driven)),
+            passive=tuple(sorted(passive)),
+            reason=reason,
+        )
         groups.append(group if reason else replace(group, reason=_why_not_determined(model, group, driven)))
     return groups
 
