@@ -238,8 +238,8 @@ class CollisionChecker:
         are_neighbors = self.geometry.moved_by_one_joint() >= 0
         for p in np.flatnonzero(at_home & are_neighbors):
             are_neighbors[p] = not stands_alone(self._model, *bodies[p])
-        pinned = pinned_bodies(self._model)
-        if pinned:
+        if self._model.neq:
+            pinned = pinned_bodies(self._model)
             are_neighbors |= np.array([frozenset(self._model.body_weldid[pair].tolist()) in pinned for pair in bodies], bool)
         return always | (at_home & are_neighbors)
 
