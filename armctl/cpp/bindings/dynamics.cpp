@@ -109,6 +109,7 @@ void bind_model(nb::module_& module) {
                 const Matrix laws = friction.matrix(m, 3, "friction");
                 const Vector inertia = armature.vector(m, "armature");
                 std::vector<PassiveJoint> each;
+                each.reserve(m);
                 for (size_t j = 0; j < m; ++j) {
                     each.push_back({
                         .armature = inertia[j],
