@@ -198,10 +198,10 @@ def motions(arm: armctl.Arm, rng: np.random.Generator) -> Case:
     """A slow motion through six points, which is given as it is; toppra gets a spline over its length."""
     q = centre(arm) + 0.3 * half(arm) * rng.uniform(-1, 1, (6, arm.n))
     motion = armctl.move_through(untiring(arm), q, speed=0.3)
-    dense = motion.sample(np.linspace(0.0, motion.duration, 20_000)).q
-    covered = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1)))
-    lengths = np.linspace(0.0, covered[-1], 800)
-    spline = CubicSpline(lengths, np.column_stack([np.interp(lengths, covered, column) for column in dense.T]))
+    dense = np.linspace(0.0, motion.duration, 200_000)
+    covered = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(motion.sample(dense).q, axis=0), axis=1)))
+    times = np.interp(np.linspace(0.0, covered[-1], GRID), covered, dense)
+    spline = CubicSpline(CubicSpline(dense, covered)(times), motion.sample(times).q)
     return Case(spline, lambda each: armctl.time_path(each, motion))
 
 
