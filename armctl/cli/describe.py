@@ -38,7 +38,7 @@ def facts(arm: Arm) -> dict[str, Any]:
         "mass_kg": float(sum(inertia.mass for inertia in arm.pinocchio_model.pin_model.inertias)),
         "timestep_s": arm.dt,
         "notes": list(arm.notes),
-    } | (_control_facts(arm) if arm.base != "free" else {})
+    } | ({} if _why_no_control_facts(arm) else _control_facts(arm))
     return json_value(data)
 
 
@@ -48,6 +48,13 @@ def _tip_facts(arm: Arm, tip: str) -> dict[str, Any]:
         "at_home": arm.fk(arm.home, tip).position.tolist(),
         "joints": [arm.joint_names[i] for i in arm.joints_to(tip)],
     }
+
+
+def _why_no_control_facts(arm: Arm) -> str:
+    """One sentence; empty if there are facts about what its motors hold."""
+    if arm.base == "free":
+        return "no motor holds the free base, so there are no payloads, controllers and simulations"
+    return "" if arm.joint_map.closure is None else "payloads and margins are not computed for an arm with closed loops"
 
 
 def _control_facts(arm: Arm) -> dict[str, Any]:
@@ -75,8 +82,8 @@ def describe(arm: Arm, data: dict[str, Any]) -> str:
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     lines += [f"note: {note}" for note in arm.notes]
-    if arm.base == "free":
-        return "\n".join([*lines, "no motor holds the free base, so there are no payloads, controllers and simulations"])
+    if reason := _why_no_control_facts(arm):
+        return "\n".join([*lines, reason])
     return "\n".join([*lines, *_control_in_words(arm, data)])
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import mujoco
 import pytest
@@ -104,3 +105,11 @@ def test_a_notebook_shows_the_tips_and_the_base(robot):
         assert name in page
     one = armctl.load(robot, tip="TAIL_2")._repr_html_()
     assert one.count("<table") == 1
+
+
+def test_an_arm_with_closed_loops_is_described_without_margins(capsys):
+    path = Path(__file__).parents[2] / "examples/models/parallel_link_arm.xml"
+    text = info(capsys, path)
+    assert "closed loops: elbow, level" in text
+    assert text.endswith("payloads and margins are not computed for an arm with closed loops\n")
+    assert "margin_exceptions" not in json.loads(info(capsys, path, "--json"))
