@@ -117,7 +117,7 @@ def is_protocol(cls: type) -> bool:
 def test_the_defaults_in_a_signature_are_those_of_the_call(arm):
     shown = inspect.signature(armctl.move_l).parameters
     defaults = {name: each.default for name, each in shown.items() if each.kind is each.KEYWORD_ONLY}
-    assert list(defaults) == ["speed", "tip_speed", "tip_angular_speed"]
+    assert list(defaults) == ["speed", "tip_speed", "tip_angular_speed", "duration"]
     goal = arm.fk(arm.home + 0.1).position
     given = armctl.move_l(arm, arm.home, goal, **defaults)
     assert given.duration == armctl.move_l(arm, arm.home, goal).duration
