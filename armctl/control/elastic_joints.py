@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain
 from armctl.control.interface import Clock, State, explains_wrong_arguments
 from armctl.control.pd import PD
-from armctl.core.errors import InputError, ModelError
+from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, flag, instance, vector
 from armctl.model.arm.arm import Arm
@@ -72,8 +72,7 @@ class ElasticFeedforward(PD):
         self.elasticity = elasticity
         if not (self.elasticity > 0.0).all():
             raise InputError("elasticity: every spring needs a stiffness above 0")
-        if arm.joint_map.closure is not None:
-            raise ModelError(f"{arm.joint_map.closure.label}: this law is not for an arm with closed loops")
+        arm.joint_map.require_no_loops()
         armature = arm.pinocchio_model.pin_model.armature
         self._model_inertia = np.array(armature)
         self.rotor_inertia = armature if rotor_inertia is None else rotor_inertia

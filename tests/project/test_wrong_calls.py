@@ -109,6 +109,7 @@ NAMES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: armctl.move_free(arm(), arm().home, arm().home, allow=[("\ud800", "x")]),
         "unknown body or geom in allow ",
     ),
+    "an array for a tip": (lambda: arm().fk(arm().home, [0.0, 1.0]), "tip of robot_arm_3dof: "),  # type: ignore
     "no gripper's tip": (
         lambda: armctl.Simulation(arm()).gripper_at(Unprintable()),
         "tip of robot_arm_3dof: an object of type Unprintable is not a name",

@@ -106,8 +106,7 @@ def arm_model(arm: Arm, dt: float | None = None, continuous: bool = False) -> Ar
     check_arm(arm)
     period = number("dt", arm.dt if dt is None else dt, 0.0, MAX_PERIOD_S)
     is_continuous = flag("continuous", continuous)
-    if arm.joint_map.closure is not None:
-        raise InputError(f"arm: {arm.joint_map.closure.label}: JAX models have no closed loops")
+    arm.joint_map.require_no_loops()
     arrays = model_arrays(arm.model, arm.pinocchio_model)
     m, n = arrays["ratio"].shape
     is_plain = m == n

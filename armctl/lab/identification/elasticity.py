@@ -101,8 +101,7 @@ def _fitted(arm: Arm, log: Log, motors: Array, cutoff: float, from_torques: bool
 class _Springs:
     def __init__(self, arm: Arm, cutoff: float, dt: float, rows: slice):
         self.arm = arm
-        if arm.joint_map.closure is not None:
-            raise InputError(f"arm: {arm.joint_map.closure.label}: no elasticity is estimated for an arm with closed loops")
+        arm.joint_map.require_no_loops()
         self.armature = np.array(arm.pinocchio_model.pin_model.armature)
         self.passive = PassiveForces(arm.model, arm.joint_map)
         self.cutoff = cutoff

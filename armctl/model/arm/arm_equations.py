@@ -270,6 +270,6 @@ class ArmEquations:
 
     def _tip_number(self, tip: str) -> int:
         """Which of the tips has a name."""
-        if tip not in self.tips:
+        if not isinstance(tip, str) or tip not in self.tips:
             raise UnknownNameError.from_known(f"tip of {self.name:.60}", tip, self.tips)
         return self.tips.index(tip)

@@ -38,8 +38,8 @@ class Dynamics:
 
     def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
         joint_map = pinocchio_model.joint_map
-        if joint_map.closure is not None and type(self) is Dynamics:
-            raise ModelError(f"{joint_map.closure.label}: this is not computed for an arm with closed loops")
+        if type(self) is Dynamics:
+            joint_map.require_no_loops()
         passive = PassiveForces(model, joint_map)
         self._joint_map = joint_map
         self._passive = passive
@@ -183,7 +183,8 @@ class ClosedDynamics(Dynamics):
 
     def payload_regressor(self, q: Array, v: Array, a: Array) -> Array:
         """ModelError: Pinocchio has no regressor of a closed loop."""
-        raise ModelError(f"{self._joint_map.closure.label}: no payload can be identified with closed loops")  # type: ignore[union-attr]
+        assert self._joint_map.closure is not None
+        raise ModelError(self._joint_map.closure.refusal)
 
     def _rigid(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
         """The torque (n,) that moves the masses, and the speeds (m, n) of all joints per speed of the driven ones."""

@@ -39,9 +39,13 @@ class JointMap:
     @property
     def ratio(self) -> Array:
         """(m, n) the speeds of all joints per speed of the arm's; ModelError with closed loops, where they vary."""
-        if self.closure is not None:
-            raise ModelError(f"{self.closure.label}: this is not computed for an arm with closed loops")
+        self.require_no_loops()
         return self.fixed_ratio
+
+    def require_no_loops(self) -> None:
+        """Raises ModelError for an arm with closed loops, for what does not know them."""
+        if self.closure is not None:
+            raise ModelError(self.closure.refusal)
 
     @property
     def moved(self) -> BoolArray:

@@ -40,6 +40,12 @@ class LoopClosure:
     q_max: Array
     moved: BoolArray  # (m, n) which joints each of the n moves
 
+    @property
+    def refusal(self) -> str:
+        """The sentence of what is not computed for an arm with closed loops."""
+        known = "kinematics, dynamics, solve_ik, motions and simulations do"
+        return f"{self.label}: this function does not know closed loops; {known}"
+
     @cached_property
     def core(self) -> _core.LoopClosure:
         """The closure of the compiled core."""

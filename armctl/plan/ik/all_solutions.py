@@ -16,7 +16,7 @@ from armctl.core.validation import flag, frozen, integer
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import checkable
 from armctl.plan.ik.closed_form_solutions import Solutions, closed_form_solutions
-from armctl.plan.ik.ik_result import BATCH_ARRAYS, IkBatch, IkResult
+from armctl.plan.ik.ik_result import IkBatch, batch_of
 from armctl.plan.ik.numerical_solutions import completed_solutions, numerical_solutions
 from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, ik_chain, read_seed, read_start, read_target, read_tolerance
 from armctl.plan.ik.solve import solve_ik
@@ -102,17 +102,20 @@ def solve_ik_all(
         found = found.select(np.array([k for k, q in enumerate(found.q) if not contact_at(q)], np.int64))
     count = len(found.q)
     if count == 0:
-        return _one_row(
-            solve_ik(
-                arm,
-                target,
-                start,
-                position_tolerance=position_tolerance,
-                orientation_tolerance=orientation_tolerance,
-                free_axis=free_axis,
-                avoid=avoid,
-                seed=seed,
-            )
+        return batch_of(
+            [
+                solve_ik(
+                    arm,
+                    target,
+                    start,
+                    position_tolerance=position_tolerance,
+                    orientation_tolerance=orientation_tolerance,
+                    free_axis=free_axis,
+                    avoid=avoid,
+                    seed=seed,
+                )
+            ],
+            arm.n,
         )
     if count > limit:
         count = limit
@@ -145,9 +148,3 @@ def _inexact_solutions(problem: IkProblem, limit: int) -> Solutions:
     tolerances = (problem.position_tolerance, problem.orientation_tolerance)
     found = closed_form_solutions(chain, form, problem.targets.reshape(4, 3), problem.q0[0], *tolerances, limit)
     return completed_solutions(problem, found) if form.held is None else found
-
-
-def _one_row(result: IkResult) -> IkBatch:
-    arrays: dict[str, Any] = {name: frozen(np.array([getattr(result, name)])) for name in BATCH_ARRAYS}
-    arrays["reason"] = frozen(np.array([result.reason], object))
-    return IkBatch(**arrays, branch=(result.branch,))

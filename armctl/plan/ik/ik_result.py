@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from armctl.core.result import Verdict
 from armctl.core.units import length_text
-from armctl.core.validation import Array, BoolArray, IntArray, TextArray
+from armctl.core.validation import Array, BoolArray, IntArray, TextArray, frozen
 
 FAR_M = 10.0  # more than any arm reaches: such a target was probably meant in millimetres
 # rad, and m of an arm that reaches 1 m or more, else reaches. An unreachable target is rarely missed by so little, but a search
@@ -52,7 +55,15 @@ class IkResult(Verdict):
         return f"not solved: {self.reason}"
 
 
-BATCH_ARRAYS = ("ok", "q", "position_error", "orientation_error", "reason", "iterations", "starts")
+BATCH_ARRAYS: Mapping[str, type] = {  # and their types
+    "ok": np.bool_,
+    "q": np.float64,
+    "position_error": np.float64,
+    "orientation_error": np.float64,
+    "reason": object,
+    "iterations": np.int64,
+    "starts": np.int64,
+}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -103,6 +114,15 @@ class IkBatch:
 
     def __str__(self) -> str:
         return f"{int(self.ok.sum())} of {len(self)} solved"
+
+
+def batch_of(results: Iterable[IkResult], n: int) -> IkBatch:
+    """The results of single problems of an arm with n joints as those of a batch."""
+    found = list(results)
+    columns = {name: np.array([getattr(each, name) for each in found], kind) for name, kind in BATCH_ARRAYS.items()}
+    columns["q"] = columns["q"].reshape(len(found), n)
+    arrays: dict[str, Any] = {name: frozen(column) for name, column in columns.items()}
+    return IkBatch(**arrays, branch=tuple(each.branch for each in found))
 
 
 def no_solution_without_contact(starts: int, contact: str) -> str:

@@ -222,7 +222,8 @@ def ik_chain(arm: Arm) -> IkChain:
     """
     chain = open_chain(arm)
     if chain is None:
-        raise ModelError(f"{arm.name:.60}: this is not computed for an arm with closed loops; solve_ik is")
+        assert arm.joint_map.closure is not None
+        raise ModelError(arm.joint_map.closure.refusal)
     return chain
 
 

@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, IntArray, array, as_array, frozen, integer, matrix
 from armctl.model.arm.arm import Arm
 from armctl.plan.ik import lm
-from armctl.plan.ik.ik_result import BATCH_ARRAYS, IkBatch, failure_reason
+from armctl.plan.ik.ik_result import BATCH_ARRAYS, IkBatch, batch_of, failure_reason
 from armctl.plan.ik.problem import IkProblem, constraint_of, open_chain, read_problem, read_starts
 from armctl.plan.ik.solve import solve_ik
 
@@ -54,11 +55,21 @@ def solve_ik_batch(
         LimitError: q0 is outside the joint limits.
     """
     constraint, numbers = _read_targets(targets, free_axis)
-    if open_chain(arm) is None:
-        starts = read_starts(arm, q0, len(numbers)) if q0 is not None else [None] * len(numbers)
-        return _one_by_one(arm, constraint, numbers, starts, position_tolerance, orientation_tolerance, free_axis, seed)
-    problem = read_problem(arm, constraint, numbers, q0, position_tolerance, orientation_tolerance, seed)
     threads = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
+    if open_chain(arm) is None:
+        solve = partial(
+            solve_ik,
+            arm,
+            position_tolerance=position_tolerance,
+            orientation_tolerance=orientation_tolerance,
+            free_axis=free_axis,
+            seed=seed,
+        )
+        is_position = constraint == Constraint.POSITION
+        targets = [row[9:] if is_position else computed_pose(row[9:], row[:9].reshape(3, 3)) for row in numbers]
+        starts = read_starts(arm, q0, len(numbers)) if q0 is not None else [None] * len(numbers)
+        return batch_of(map(solve, targets, starts), arm.n)
+    problem = read_problem(arm, constraint, numbers, q0, position_tolerance, orientation_tolerance, seed)
     count = len(numbers)
     parts: list[IkBatch] = []
     with progress_bar("IK", count, "targets") as progress, ThreadPoolExecutor(threads) as pool:
@@ -70,43 +81,6 @@ def solve_ik_batch(
             pool.shutdown(cancel_futures=True)
     arrays: dict[str, Any] = {name: frozen(np.concatenate([getattr(part, name) for part in parts])) for name in BATCH_ARRAYS}
     return IkBatch(**arrays, branch=tuple(itertools.chain.from_iterable(part.branch for part in parts)))
-
-
-def _one_by_one(
-    arm: Arm,
-    constraint: Constraint,
-    numbers: Array,
-    starts: Sequence[Array | None] | Array,
-    position_tolerance: float,
-    orientation_tolerance: float,
-    free_axis: str | None,
-    seed: int,
-) -> IkBatch:
-    """As `solve_ik_batch`, of an arm with closed loops."""
-    found = []
-    for row, start in zip(numbers, starts, strict=True):
-        target = row[9:] if constraint == Constraint.POSITION else computed_pose(row[9:], row[:9].reshape(3, 3))
-        found.append(
-            solve_ik(
-                arm,
-                target,
-                start,
-                position_tolerance=position_tolerance,
-                orientation_tolerance=orientation_tolerance,
-                free_axis=free_axis,
-                seed=seed,
-            )
-        )
-    return IkBatch(
-        ok=np.array([each.ok for each in found], bool),
-        q=frozen(np.array([each.q for each in found]).reshape(-1, arm.n)),
-        position_error=np.array([each.position_error for each in found]),
-        orientation_error=np.array([each.orientation_error for each in found]),
-        reason=np.array([each.reason for each in found], object),
-        iterations=np.array([each.iterations for each in found], np.int64),
-        starts=np.array([each.starts for each in found], np.int64),
-        branch=tuple(each.branch for each in found),
-    )
 
 
 def _chunks(count: int, threads: int) -> list[IntArray]:

@@ -12,8 +12,9 @@ import pytest
 from arms import some_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from light_arms import light_arm, with_bounds
 from motion_check import violation
-from synthetic import Shape, limb, motors, serial_arm
+from synthetic import limb, motors
 
 import armctl
 from armctl import Via
@@ -24,15 +25,7 @@ N = 6
 
 @pytest.fixture(scope="module")
 def light(tmp_path_factory) -> armctl.Arm:
-    """An arm whose motors and joint ranges limit nothing."""
-    arm = serial_arm(tmp_path_factory.mktemp("arm"), Shape(0.3, 2.0, 100.0, joints=N))
-    many = np.full(N, 1e6)
-    return arm.with_limits(replace(arm.limits, q_min=-many, q_max=many, tau_max=1e3 * many))
-
-
-def with_bounds(arm: armctl.Arm, v: float, a: float, j: float) -> armctl.Arm:
-    ones = np.ones(arm.n)
-    return arm.with_limits(replace(arm.limits, v_max=v * ones, a_max=a * ones, j_max=j * ones))
+    return light_arm(tmp_path_factory.mktemp("arm"), N)
 
 
 def random_bounds(arm: armctl.Arm, rng: np.random.Generator) -> armctl.Arm:

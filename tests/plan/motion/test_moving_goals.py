@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import ruckig
 from arms import arm_of
+from light_arms import by_ruckig_alone, light_arm, with_bounds
 from motion_check import violation
-from synthetic import Shape, serial_arm
 
 import armctl
 
@@ -16,15 +15,11 @@ N = 3
 
 @pytest.fixture(scope="module")
 def light(tmp_path_factory) -> armctl.Arm:
-    """An arm whose motors and joint ranges limit nothing."""
-    arm = serial_arm(tmp_path_factory.mktemp("arm"), Shape(0.3, 2.0, 100.0, joints=N))
-    many = np.full(N, 1e6)
-    return arm.with_limits(replace(arm.limits, q_min=-many, q_max=many, tau_max=1e3 * many))
+    return light_arm(tmp_path_factory.mktemp("arm"), N)
 
 
 def random_arm(arm: armctl.Arm, rng: np.random.Generator) -> armctl.Arm:
-    v, a, j = rng.uniform(0.5, 5, N), rng.uniform(2, 20, N), rng.uniform(20, 500, N)
-    return arm.with_limits(replace(arm.limits, v_max=v, a_max=a, j_max=j))
+    return with_bounds(arm, rng.uniform(0.5, 5, N), rng.uniform(2, 20, N), rng.uniform(20, 500, N))
 
 
 def random_state(limits: armctl.Limits, rng: np.random.Generator) -> armctl.Setpoint:
@@ -34,19 +29,6 @@ def random_state(limits: armctl.Limits, rng: np.random.Generator) -> armctl.Setp
     a = np.where(room > 0.0, a, 0.0)
     v = rng.uniform(-0.95, 0.95, N) * np.where(room > 0.0, room, limits.v_max)
     return armctl.Setpoint(rng.uniform(-2, 2, N), v, a)
-
-
-def by_ruckig_alone(limits: armctl.Limits, start: armctl.Setpoint, goal: armctl.Setpoint) -> float:
-    """s, the duration of ruckig's own motion."""
-    problem = ruckig.InputParameter(N)
-    problem.current_position, problem.current_velocity, problem.current_acceleration = (x.tolist() for x in start[:3])
-    problem.target_position, problem.target_velocity, problem.target_acceleration = (x.tolist() for x in goal[:3])
-    problem.max_velocity = limits.v_max.tolist()
-    problem.max_acceleration = limits.a_max.tolist()
-    problem.max_jerk = limits.j_max.tolist()
-    motion = ruckig.Trajectory(N)
-    ruckig.Ruckig(N).calculate(problem, motion)
-    return motion.duration
 
 
 def assert_joins(motion, start: armctl.Setpoint, goal: armctl.Setpoint) -> None:

@@ -5,9 +5,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-import ruckig
+from light_arms import by_ruckig_alone, light_arm, with_bounds
 from motion_check import violation
-from synthetic import Shape, serial_arm
 
 import armctl
 
@@ -18,34 +17,15 @@ SHARES = (1.0001, 1.01, 1.5, 3.0)
 
 @pytest.fixture(scope="module")
 def light(tmp_path_factory) -> armctl.Arm:
-    """An arm whose motors and joint ranges limit nothing."""
-    arm = serial_arm(tmp_path_factory.mktemp("arm"), Shape(0.3, 2.0, 100.0, joints=N))
-    many = np.full(N, 1e6)
-    return arm.with_limits(replace(arm.limits, q_min=-many, q_max=many, tau_max=1e3 * many))
+    return light_arm(tmp_path_factory.mktemp("arm"), N)
 
 
-def with_bounds(arm: armctl.Arm, v: np.ndarray, a: np.ndarray, j: np.ndarray) -> armctl.Arm:
-    return arm.with_limits(replace(arm.limits, v_max=v, a_max=a, j_max=j))
+def at_rest(q: np.ndarray) -> armctl.Setpoint:
+    return armctl.Setpoint(q, np.zeros(N), np.zeros(N))
 
 
 def random_arm(arm: armctl.Arm, rng: np.random.Generator) -> armctl.Arm:
     return with_bounds(arm, rng.uniform(0.5, 5, N), rng.uniform(2, 20, N), rng.uniform(20, 500, N))
-
-
-def by_ruckig_alone(arm: armctl.Arm, start: armctl.Setpoint, goal: np.ndarray) -> float:
-    """s, the duration of ruckig's own motion to rest at the goal."""
-    limits = arm.limits
-    problem = ruckig.InputParameter(N)
-    problem.current_position = start.q.tolist()
-    problem.current_velocity = start.v.tolist()
-    problem.current_acceleration = start.a.tolist()
-    problem.target_position = goal.tolist()
-    problem.max_velocity = limits.v_max.tolist()
-    problem.max_acceleration = limits.a_max.tolist()
-    problem.max_jerk = limits.j_max.tolist()
-    motion = ruckig.Trajectory(N)
-    ruckig.Ruckig(N).calculate(problem, motion)
-    return motion.duration
 
 
 def assert_joins(motion, start: armctl.Setpoint, goal: np.ndarray) -> None:
@@ -87,7 +67,7 @@ def test_a_goal_that_moves_a_little_in_the_last_moments_is_reached(light, left):
         start = whole(whole.duration - left)
         moved = goal + 1e-4 * rng.normal(size=N)
         motion = armctl.move_j(arm, start, moved, straight=False)
-        assert motion.duration == pytest.approx(by_ruckig_alone(arm, start, moved), rel=2e-3, abs=1e-6)
+        assert motion.duration == pytest.approx(by_ruckig_alone(arm.limits, start, at_rest(moved)), rel=2e-3, abs=1e-6)
         assert_joins(motion, start, moved)
         assert not violation(motion, arm.limits)
 
@@ -119,7 +99,7 @@ def test_a_start_beyond_a_limit_is_braked_into_it_as_fast_as_possible(light, sha
         start = armctl.Setpoint(rng.uniform(-1, 1, N), v, a)
         goal = rng.normal(0, 2, N)
         motion = armctl.move_j(arm, start, goal, straight=False)
-        assert motion.duration == pytest.approx(by_ruckig_alone(arm, start, goal), rel=1e-6)
+        assert motion.duration == pytest.approx(by_ruckig_alone(arm.limits, start, at_rest(goal)), rel=1e-6)
         assert_joins(motion, start, goal)
         assert not violation(motion, least_excess(limits, start))
         # Within the time in which the jerk can turn the acceleration and brake the excess, the motion is inside for good.
@@ -147,7 +127,7 @@ def test_a_start_inside_the_limits_whose_acceleration_leads_beyond_one_exceeds_i
         beyond += (possible.v_max > limits.v_max).any()
         goal = rng.normal(0, 2, N)
         motion = armctl.move_j(arm, start, goal, straight=False)
-        assert motion.duration == pytest.approx(by_ruckig_alone(arm, start, goal), rel=1e-6)
+        assert motion.duration == pytest.approx(by_ruckig_alone(arm.limits, start, at_rest(goal)), rel=1e-6)
         assert_joins(motion, start, goal)
         assert not violation(motion, possible)
     assert beyond > 10
@@ -170,7 +150,7 @@ def test_online_motions_and_streams_start_beyond_a_limit_and_come_to_rest(light,
         goal = rng.normal(0, 1, N)
         online = armctl.OnlineMotion(arm, start)
         online.go_to(goal)
-        assert online.time_left == pytest.approx(by_ruckig_alone(arm, start, goal), rel=1e-6)
+        assert online.time_left == pytest.approx(by_ruckig_alone(arm.limits, start, at_rest(goal)), rel=1e-6)
         stream = armctl.Stream(arm, start)
         stream.push(0.0, goal)
         for source in (online, stream):

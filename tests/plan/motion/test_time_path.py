@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import arm_of
+from light_arms import light_arm, with_bounds
 from motion_check import violation
 from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator, make_interp_spline
-from synthetic import Shape, serial_arm
 
 import armctl
 
@@ -16,14 +16,7 @@ N = 3
 
 @pytest.fixture(scope="module")
 def light(tmp_path_factory) -> armctl.Arm:
-    """An arm whose motors and joint ranges limit nothing."""
-    arm = serial_arm(tmp_path_factory.mktemp("arm"), Shape(0.3, 2.0, 100.0, joints=N))
-    many = np.full(N, 1e6)
-    return arm.with_limits(replace(arm.limits, q_min=-many, q_max=many, tau_max=1e3 * many))
-
-
-def with_bounds(arm: armctl.Arm, v: float, a: float, j: float) -> armctl.Arm:
-    return arm.with_limits(replace(arm.limits, v_max=np.full(N, v), a_max=np.full(N, a), j_max=np.full(N, j)))
+    return light_arm(tmp_path_factory.mktemp("arm"), N)
 
 
 def random_spline(arm: armctl.Arm, seed: int) -> CubicSpline:

@@ -15,6 +15,22 @@ pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
 PALLETIZER = Path(__file__).parents[3] / "examples/models/parallel_link_arm.xml"
 CLOSED_M = 1e-6
 SOFT_M = 1e-4  # in a simulation, where MuJoCo's constraints yield
+LINK = '<geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.2" mass="1"/>'
+PARALLELOGRAM = f"""
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="crank"><joint name="crank" axis="0 1 0" range="-3.3 3.3"/>{LINK}
+      <body name="coupler" pos="0 0 0.2"><joint name="coupler" axis="0 1 0"/>
+        <geom type="capsule" size="0.01" fromto="0 0 0 0.4 0 0" mass="1"/><site name="tip" pos="0.2 0 0.1"/>
+      </body>
+    </body>
+    <body name="rocker" pos="0.4 0 0"><joint name="rocker" axis="0 1 0"/>{LINK}</body>
+  </worldbody>
+  <equality><connect name="loop" body1="coupler" body2="rocker" anchor="0.4 0 0"/></equality>
+  <actuator><motor joint="crank" ctrlrange="-50 50"/></actuator>
+</mujoco>
+"""
 POST = armctl.Scene().add_box("post", [0.06, 0.06, 1.2], [0.55, 0.35, 0.6])
 
 
@@ -122,6 +138,17 @@ def test_a_motion_through_what_its_loops_forbid_is_refused(arm):
 
     with pytest.raises(armctl.PlanError, match=r"the passive joint elbow would be at .* of the motion"):
         armctl.Simulation(arm).run(Swing())
+
+
+def test_no_motion_crosses_the_position_at_which_a_parallelogram_is_folded():
+    """There, at a quarter turn of the crank, the rocker could turn either way."""
+    arm = armctl.load(mujoco.MjSpec.from_string(PARALLELOGRAM), tip="tip")
+    assert armctl.move_j(arm, [0.0], [1.4]).duration > 0
+    assert arm.fk([2.0])  # closed, too, but not to be reached from zero
+    with pytest.raises(armctl.LimitError, match=r"cannot be closed, or only in a singular position, at \[1.571\]"):
+        arm.fk([np.pi / 2])
+    with pytest.raises(armctl.PlanError, match=r"the motion leaves where its closed loops are known to close, at 0\.8"):
+        armctl.move_j(arm, [0.0], [2.5])
 
 
 def test_a_proof_covers_the_whole_motion_and_what_it_bounds_is_there(arm, goals):
