@@ -1,14 +1,13 @@
-"""First stage of loading: describe the arms in a compiled model. Nothing is changed."""
+"""First stage of loading: describe the arm in a compiled model. Nothing is changed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 
 import mujoco
 
-from armctl.core.errors import InputError, ModelError, UnknownNameError, few_names
+from armctl.core.errors import InputError, UnknownNameError, few_names
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, instance, shown
 from armctl.model.arm.joint_map import JointMap
@@ -23,7 +22,7 @@ from armctl.model.loading.unit_checks import unit_doubts
 from armctl.model.loading.urdf import speed_limits
 from armctl.model.mjmodel.closed_loops import LoopGroup
 from armctl.model.mjmodel.dc_motor import DcMotor
-from armctl.model.mjmodel.queries import Joints, body_name, body_named, is_below, joint_name, joints_above, object_id
+from armctl.model.mjmodel.queries import Joints, body_name, body_named, joint_name, joints_above, object_id
 from armctl.model.mjmodel.transmissions import Transmission, Transmissions
 
 
@@ -40,7 +39,7 @@ class ArmEnds:
 
 @dataclass(frozen=True, eq=False)
 class ArmPlan:
-    """What one arm of a model will be."""
+    """What the arm of a model will be."""
 
     joints: Joints  # the joints from the base to the tip, then those to further tips, without the springs of elastic joints
     chain_length: int  # how many of them lead to the tip
@@ -62,13 +61,9 @@ class ArmPlan:
         return replace(self, tip=tip, further_tips=tuple(replace(each, body=number(each.body)) for each in self.further_tips))
 
 
-def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnds]) -> list[ArmPlan]:
-    """The arms to some tips from some bases of a model with its own actuators; errors as those of `armctl.load`."""
-    arms = [_chains_of(source, analysis, each) for each in ends]
-    for one, other in permutations(arms, 2):
-        if reason := _why_dependent(analysis, one[0][0], other[0][0]):
-            raise ModelError(reason)
-    return [_described(source, analysis, chains, each) for chains, each in zip(arms, ends, strict=True)]
+def describe_arm(source: Source, analysis: Transmissions, ends: ArmEnds) -> ArmPlan:
+    """The arm to some tips from a base of a model with its own actuators; errors as those of `armctl.load`."""
+    return _described(source, analysis, _chains_of(source, analysis, ends), ends)
 
 
 def _chains_of(source: Source, analysis: Transmissions, ends: ArmEnds) -> list[tuple[Joints, Tip]]:
@@ -232,33 +227,3 @@ def _datasheet(source: Source, analysis: Transmissions, chains: Sequence[Joints]
         return None
     one = datasheet_limits(source.row, counts.pop())
     return one if one is None else one.repeated(len(chains))
-
-
-def _why_dependent(analysis: Transmissions, one: Joints, other: Joints) -> str:
-    """Why two chains cannot move at once: one is part of the other, both move the same joint, or one stands on the other."""
-    model = analysis.model
-    tip = shown(tip_of_chain(model, one).name)
-    other_tip = shown(tip_of_chain(model, other).name)
-    shared = sorted(set(one) & set(other))
-    moved = _moved_joints(analysis, one)
-    coupled = moved & _moved_joints(analysis, other) - set(shared)
-    if coupled:
-        return f"the chains to {tip} and {other_tip} both move joint {joint_name(model, min(coupled))!r:.80}; give one of them"
-    if len(shared) == min(len(one), len(other)):
-        return f"one of the chains to {tip} and {other_tip} is part of the other; give each chain once"
-    if shared:
-        names = ", ".join(repr(joint_name(model, joint)) for joint in shared)
-        base = body_name(model, int(model.jnt_bodyid[shared[-1]]))
-        joints = "joints" if len(shared) > 1 else "joint"
-        return (
-            f"the chains to {tip} and {other_tip} share {joints} {names:.120}, which only one of them could move; "
-            f"base={base!r:.80} holds what they share"
-        )
-    if any(is_below(model, int(model.jnt_bodyid[other[0]]), int(model.jnt_bodyid[joint])) for joint in moved):
-        return f"the chain to {other_tip} stands on the one to {tip}, which would shake it; move one at a time"
-    return ""
-
-
-def _moved_joints(analysis: Transmissions, joints: Joints) -> set[int]:
-    """The joints of a chain and those coupled to them."""
-    return {joint for transmission in analysis.of_chain(joints) for joint in transmission.coupled}

@@ -1,12 +1,11 @@
-"""Third stage of loading: build the arms of a prepared model."""
+"""Third stage of loading: build the arm of a prepared model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
-import numpy as np
 
-from armctl.core.validation import Array, frozen
+from armctl.core.validation import frozen
 from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.arm import Arm, Recipe
 from armctl.model.arm.joint_map import JointMap
@@ -19,26 +18,25 @@ from armctl.model.mjmodel.target_marker import set_target_start
 _TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached
 
 
-def make_arms(
+def make_arm(
     name: str,
     model: mujoco.MjModel,
-    plans: Sequence[ArmPlan],
+    plan: ArmPlan,
     notes: Sequence[str],
     recipe: Recipe | None,
     unchecked_links: tuple[str, ...] = (),
-) -> tuple[Arm, ...]:
-    """The arms of a prepared model, which is completed in place: the target's start, no controls in the keyframes."""
-    qpos = home_qpos(model, tuple(joint for plan in plans for joint in plan.joints))
-    arms = [_arm(name, model, plan, qpos, notes, recipe) for plan in plans]
-    near_home = arms[0].limits.clamp(arms[0].home + _TARGET_OFFSET)
-    set_target_start(model, arms[0].fk(near_home).position)
-    model.key_ctrl[:, np.concatenate([arm.ctrl_adr for arm in arms])] = 0.0  # they hold angles for what are torques now
-    ctrl = home_controls(model)
-    return tuple(replace(arm, home_ctrl=ctrl, unchecked_links=unchecked_links) for arm in arms)
+) -> Arm:
+    """The arm of a prepared model, which is completed in place: the target's start, no controls in the keyframes."""
+    arm = _arm(name, model, plan, notes, recipe)
+    near_home = arm.limits.clamp(arm.home + _TARGET_OFFSET)
+    set_target_start(model, arm.fk(near_home).position)
+    model.key_ctrl[:, arm.ctrl_adr] = 0.0  # they hold angles for what are torques now
+    return replace(arm, home_ctrl=home_controls(model), unchecked_links=unchecked_links)
 
 
-def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, qpos: Array, notes: Sequence[str], recipe: Recipe | None) -> Arm:
-    """An arm in a model at home, with the controls of keyframes that are not cleared yet."""
+def _arm(name: str, model: mujoco.MjModel, plan: ArmPlan, notes: Sequence[str], recipe: Recipe | None) -> Arm:
+    """An arm in a model, with the controls of keyframes that are not cleared yet."""
+    qpos = home_qpos(model, plan.joints)
     joint_map = JointMap.from_transmissions(model, plan.joints, plan.transmissions, plan.loops, qpos)
     closed = joint_map if joint_map.closure is not None else None
     if closed is not None:

@@ -1,6 +1,6 @@
 """Loading: from a name, a file, a specification or a model to an Arm.
 
-Three stages: describe the arms in the compiled model, prepare a model with torque motors, build the arms. Couplings and
+Three stages: describe the arm in the compiled model, prepare a model with torque motors, build the arm. Couplings and
 transmissions are analysed once, in the first stage, and passed on.
 """
 
@@ -23,9 +23,9 @@ from armctl.core.validation import instance, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.arm.parity import check_parity
 from armctl.model.loading.added_shapes import CAPSULES, VISUAL, add_shapes, read_shapes, visual_links
-from armctl.model.loading.arm_plan import ArmEnds, ArmPlan, describe_arms, find_ends
+from armctl.model.loading.arm_plan import ArmEnds, describe_arm, find_ends
 from armctl.model.loading.base import BASE_JOINTS, add_base_joints, hold_free_bases, may_float
-from armctl.model.loading.build import make_arms
+from armctl.model.loading.build import make_arm
 from armctl.model.loading.catalog import Source, locate
 from armctl.model.loading.chain import SerialChain, all_chains
 from armctl.model.loading.home import home_qpos
@@ -87,7 +87,7 @@ class _LoadRecipe:
     """The arguments of `load`, from which its model is made."""
 
     robot: str | os.PathLike[str] | mujoco.MjSpec  # as for `load`
-    ends: tuple[ArmEnds, ...]  # where each arm begins and ends
+    ends: ArmEnds  # where the arm begins and ends
     moving_base: str | None  # "planar" or "free"; None for one that is held
     tool: str | os.PathLike[str] | mujoco.MjSpec | None  # as for `load`
     scene: Scene | str | os.PathLike[str] | None  # as for `load`
@@ -100,7 +100,7 @@ class _LoadRecipe:
         return self.__dict__ if is_text else self.__dict__ | {"robot": "", "tool": None, "is_complete": False}
 
     def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
-        """The model of the arms, made once more after an edit of the specification."""
+        """The model of the arm, made once more after an edit of the specification."""
         return self.prepared(edit)[1].model
 
     def prepared(self, edit: Callable[[mujoco.MjSpec], None] | None = None) -> tuple[str, PreparedModel, list[str]]:
@@ -110,17 +110,16 @@ class _LoadRecipe:
         source = locate(self.robot)
         robot = _read(source, self.moving_base, self.srdf, visual=self.shapes == VISUAL)
         spec = robot.spec
-        ends = [robot.resolved(each) for each in self.ends]
+        ends = robot.resolved(self.ends)
         unread = robot.unread
         notes = list(robot.notes)
         if self.tool is not None:
-            only = ends[0]
             with _naming(source.name):
                 analysis = Transmissions(source.compile_without_textures(spec))
-                _, flange = find_ends(source, analysis, ArmEnds(only.tip, only.base))
+                _, flange = find_ends(source, analysis, ArmEnds(ends.tip, ends.base))
             body = next(b for b in spec.bodies if b.id == flange.body)
             mounted = mount(spec, body, flange.T_body_tip, locate(self.tool, tool=True))
-            ends = [replace(only, tip=mounted.tip)]
+            ends = replace(ends, tip=mounted.tip)
             unread |= mounted.unread
             notes += mounted.notes
         if self.scene is not None:
@@ -129,24 +128,24 @@ class _LoadRecipe:
         with _naming(source.name):
             check_timestep(original)
             analysis = Transmissions(original)
-            plans = describe_arms(source, analysis, ends)
-        unchecked = unchecked_links(original, _joints(plans), unread)
+            plan = describe_arm(source, analysis, ends)
+        unchecked = unchecked_links(original, plan.joints, unread)
         links_without_contact_rules = robot.links_without_contact_rules
         if unchecked and self.shapes is not None:
-            tips = [(plan.tip.body, plan.tip.T_body_tip.position) for plan in plans]
-            qpos = home_qpos(original, _joints(plans))
+            tips = [(plan.tip.body, plan.tip.T_body_tip.position)]
+            qpos = home_qpos(original, plan.joints)
             notes += add_shapes(spec, original, qpos, self.shapes, unchecked, tips)
             original = source.compile_without_textures(spec)
             with _naming(source.name):
                 analysis = Transmissions(original)
-                plans = describe_arms(source, analysis, ends)
+                plan = describe_arm(source, analysis, ends)
             shaped = set(original.geom_bodyid[colliding_geoms(original)].tolist())
             given = names_of(original, [body for body in unchecked if body in shaped])
             links_without_contact_rules |= frozenset(given)
-            unchecked = unchecked_links(original, _joints(plans), unread - set(given))
-        prepared = make_arm_model(source, spec, analysis, plans, links_without_contact_rules, edit)
-        rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
-        prepared = _with_shape_notes(prepared, original, _joints(plans), unchecked, robot.drawn)
+            unchecked = unchecked_links(original, plan.joints, unread - set(given))
+        prepared = make_arm_model(source, spec, analysis, plan, links_without_contact_rules, edit)
+        rating = source.row.rating if source.row is not None and plan.datasheet is not None else ""
+        prepared = _with_shape_notes(prepared, original, plan.joints, unchecked, robot.drawn)
         notes += model_notes(original)
         info_notes = (*filter(None, [rating]), *robot.info_notes, *prepared.info_notes)
         return source.name, replace(prepared, info_notes=info_notes), notes
@@ -212,8 +211,8 @@ def load(
         further_tips = tuple(others)
     moving_base = base if isinstance(base, str) and base in BASE_JOINTS else None
     named = None if moving_base else base
-    ends = [ArmEnds(tip=tip, base=named, tip_offset=tip_offset, further_tips=further_tips, moving_base=moving_base)]
-    return _loaded(robot, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)[0]
+    ends = ArmEnds(tip=tip, base=named, tip_offset=tip_offset, further_tips=further_tips, moving_base=moving_base)
+    return _loaded(robot, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
 
 
 def _names(what: str, names: Sequence[str]) -> list[str]:
@@ -246,15 +245,15 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
 
 def _loaded(
     robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
-    ends: Sequence[ArmEnds],
+    ends: ArmEnds,
     *,
     moving_base: str | None,
     tool: str | os.PathLike[str] | mujoco.MjSpec | None,
     scene: Scene | str | os.PathLike[str] | None,
     srdf: str | os.PathLike[str] | None,
     shapes: str | None,
-) -> tuple[Arm, ...]:
-    """The arms with these ends. A specification is copied, since a caller can change it later."""
+) -> Arm:
+    """The arm with these ends. A specification is copied, since a caller can change it later."""
     shapes = read_shapes(shapes)
     if isinstance(robot, mujoco.MjModel):
         additions = {"base": moving_base, "tool": tool, "scene": scene, "srdf": srdf, "shapes": shapes}
@@ -269,20 +268,20 @@ def _loaded(
             check_timestep(model)
             check_memory(model)
             analysis = Transmissions(model)
-            plans = describe_arms(source, analysis, ends)
-            prepared = make_arm_model_from_compiled(analysis, plans)
-        unchecked = unchecked_links(model, _joints(plans))
-        prepared = _with_shape_notes(prepared, model, _joints(plans), unchecked)
-        return _arms(source.name, prepared, [*corrections, *model_notes(model)], None)
+            plan = describe_arm(source, analysis, ends)
+            prepared = make_arm_model_from_compiled(analysis, plan)
+        unchecked = unchecked_links(model, plan.joints)
+        prepared = _with_shape_notes(prepared, model, plan.joints, unchecked)
+        return _checked_arm(source.name, prepared, [*corrections, *model_notes(model)], None)
     kept = locate(robot).copied_spec() if isinstance(robot, mujoco.MjSpec) else robot
-    recipe = _LoadRecipe(kept, tuple(ends), moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
-    return _arms(*recipe.prepared(), recipe)
+    recipe = _LoadRecipe(kept, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
+    return _checked_arm(*recipe.prepared(), recipe)
 
 
-def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _LoadRecipe | None) -> tuple[Arm, ...]:
-    """The arms of a prepared model, checked, after the warnings about it."""
+def _checked_arm(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _LoadRecipe | None) -> Arm:
+    """The arm of a prepared model, checked, after the warnings about it."""
     warned = [*notes, *prepared.notes]
-    for sentence in [*warned, *(note for plan in prepared.plans for note in plan.notes)]:
+    for sentence in [*warned, *prepared.plan.notes]:
         note = sentence if isinstance(sentence, Note) else Note(sentence)
         warnings.warn(ArmctlWarning(f"{name}: {note}", note), stacklevel=4)
     if prepared.shape_note:
@@ -290,19 +289,13 @@ def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Loa
         warnings.warn(MissingShapeWarning(f"{name}: {note}", note), stacklevel=4)
         warned.append(prepared.shape_note)
     check_joint_parameters(prepared.model)
-    own = {equality for plan in prepared.plans for loop in plan.loops for equality in loop.equalities}
-    open_loops = open_loop_notes(prepared.model, home_qpos(prepared.model, _joints(prepared.plans)), own)
+    own = {equality for loop in prepared.plan.loops for equality in loop.equalities}
+    open_loops = open_loop_notes(prepared.model, home_qpos(prepared.model, prepared.plan.joints), own)
     notes = [*warned, *prepared.info_notes, *open_loops]
-    arms = make_arms(name, prepared.model, prepared.plans, notes, recipe, prepared.unchecked_links)
-    for arm in arms:
-        check_mass_matrix(arm)
-        check_parity(arm)
-    return arms
-
-
-def _joints(plans: Sequence[ArmPlan]) -> Joints:
-    """The joints of some arms."""
-    return tuple(joint for plan in plans for joint in plan.joints)
+    arm = make_arm(name, prepared.model, prepared.plan, notes, recipe, prepared.unchecked_links)
+    check_mass_matrix(arm)
+    check_parity(arm)
+    return arm
 
 
 def _with_shape_notes(
