@@ -1,6 +1,6 @@
 # make demo   creates .venv, builds the compiled core, installs armctl with the viewer, and the bundled arm moves to the green target;
 #             needs Python 3.11 or later; without a C++ compiler, pip installs one (zig) into .venv
-# make test   lint, types, docs, and six minutes of tests; make test-all runs the others, too
+# make test   lint, types, docs, and ten minutes of tests; make test-all runs the others, too
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
