@@ -10,10 +10,10 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,9 +22,6 @@ from numpy.typing import ArrayLike
 from armctl._core import Hit, RrtConnect
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.limits import Limits
-from armctl.core.pose import Pose, computed_pose
-from armctl.core.target import Target
-from armctl.core.tip_targets import TipTargets, targets_by_tip
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, integer, number, shown
 from armctl.model.arm.arm import Arm, check_arm
@@ -33,8 +30,7 @@ from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, 
 from armctl.model.collision.clearance import PiecewiseTrajectory, clearance_of
 from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
 from armctl.model.mjmodel.queries import object_id
-from armctl.plan.ik.resting_joints import Mask, RestingJoints, resting_joints
-from armctl.plan.ik.solve import solve_ik
+from armctl.plan.ik.resting_joints import Mask, resting_joints
 from armctl.plan.motion.checks import planning_arm, start_state
 from armctl.plan.motion.given_duration import lasting, read_duration
 from armctl.plan.motion.move_j import move_j
@@ -42,16 +38,12 @@ from armctl.plan.motion.move_through import through_waypoints
 from armctl.plan.motion.moving_start import begun_moving, begun_moving_lasting, stop_from
 from armctl.plan.motion.torque_limits import within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.plan.planner.goals import FreeGoal, free_goals, overlap_in_words
 
-_IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
-_MAX_IK_TRIES = 500  # as long as no solution is free
-MAX_ROOTS = 8  # of the goal tree, for each pose or point
-_SAME_CONFIGURATION = 1e-3  # rad
 _MIN_CLEARANCE_M = 1e-5  # of a motion, where start and goal leave it: how fine a proof is follows from the clearance
 _REPAIRS = 14  # points that are added where a smooth motion leaves the free path
 _REPAIR_MARGIN = 0.25  # of a line: an added point keeps so far from its ends
 
-FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: the type ArrayLike includes Sequence
 CLEARANCE_M = 2e-3
 MAX_SAMPLES = 20_000
 _SAMPLES_PER_CALL = 256  # between two calls of the core the program can be interrupted
@@ -271,7 +263,7 @@ def move_free_with(
     if isinstance(goal, Mapping):
         held = resting_joints(arm, goal).held
         space = space._replace(held=held if held.any() else None)
-    goals, freest = _goals(space, arm, start, goal, rng)
+    goals, freest = free_goals(checker, space.keep, arm, start, goal, rng)
     refusal = ""
     for path_space, motion_space in spaces_between(space, [start, freest]):
         for configuration in goals:
@@ -319,122 +311,6 @@ def require_free_start(checker: CollisionChecker, start: Array) -> None:
     pair, distance = checker.nearest(start)
     if distance <= 0.0:
         raise PlanError(f"start: {overlap_in_words(checker, start, pair)}; move it apart or allow the contact")
-
-
-def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
-    """Which bodies of a pair overlap, and how deep."""
-    first, second = checker.names(pair)
-    depth = max(checker.depth(q, pair), 0.0)
-    return f"{second} is {1e3 * depth:.1f} mm inside {first}"
-
-
-def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator) -> tuple[Array, Array]:
-    """The free configurations of a goal, nearest to the start first, and the freest of them. Raises PlanError."""
-    checker = space.checker
-    keep = space.keep
-    found: list[Array] = []
-    distances: list[float] = []
-    refusals: list[str] = []
-    for candidate in _goal_list(arm, goal):
-        configurations, refusal = configurations_for(arm, start, candidate, rng, lambda q: checker.nearest(q)[1] > 0.0, keep)
-        refusals += [refusal] if refusal else []
-        for q in configurations:
-            if keep is not None and (tilt := _tilt(arm, q, keep)) >= keep.within:
-                refusals.append(
-                    f"goal: the tip's {keep.name} axis tilts by {tilt:.3g} rad from its direction at the start, "
-                    f"expected less than {keep.within:.3g}"
-                )
-                continue
-            pair, distance = checker.nearest(q)
-            if distance > 0.0:
-                found.append(q)
-                distances.append(distance)
-            else:
-                refusals.append(f"the goal cannot be reached without contact: {overlap_in_words(checker, q, pair)}")
-    if not found:
-        raise PlanError(refusals[0])
-    order = np.argsort([np.linalg.norm(q - start) for q in found], kind="stable")
-    return np.array(found)[order], found[int(np.argmax(distances))]
-
-
-def _goal_list(arm: Arm, goal: FreeGoal) -> Sequence[Pose | Target | Array | TipTargets]:
-    """A goal, or a list of goals, as poses, points, configurations and targets by tip."""
-    if isinstance(goal, (Pose, Target)):
-        return [goal]
-    if isinstance(goal, Mapping):
-        return [goal]
-    try:
-        is_numbers = np.ndim(goal) == 1 and np.asarray(goal).dtype.kind in "fiub"
-    except ValueError:  # a list of goals of different lengths
-        is_numbers = False
-    goals = [goal] if is_numbers else list(goal) if isinstance(goal, (Sequence, np.ndarray)) else []
-    checked: list[Pose | Target | Array] = []
-    for item in goals:
-        if isinstance(item, (Pose, Target)):
-            checked.append(item)
-            continue
-        numbers = np.asarray(item, dtype=object).reshape(-1)
-        if len(numbers) not in (3, arm.n):
-            raise InputError(f"goal: {item!r:.80} is not a configuration of {arm.n} joints, a Pose or a point of three numbers")
-        checked.append(arm.checked("goal", item) if len(numbers) == arm.n else Target.read(item))
-    if not checked:
-        raise InputError(f"goal: {goal!r:.80} is not a configuration of {arm.n} joints, a Pose, a point or a list of these")
-    return checked
-
-
-def configurations_for(
-    arm: Arm,
-    start: Array,
-    goal: Pose | Target | Array | TipTargets,
-    rng: np.random.Generator,
-    is_free: Callable[[Array], bool],
-    keep: KeptAxis | None = None,
-) -> tuple[list[Array], str]:
-    """Configurations for one goal, and why there is none. More are looked for as long as none of them is free."""
-    if isinstance(goal, np.ndarray):
-        return [goal], ""
-    resting: RestingJoints | None = None
-    if isinstance(goal, Mapping):
-        resting = resting_joints(arm, goal)
-        goal = targets_by_tip(goal, {tip: arm.fk(start, tip) for tip in arm.tips})
-    free_axis = None
-    if keep is not None and isinstance(goal, Target) and goal.pose is None:
-        goal = computed_pose(goal.position, arm.fk(start).rotation)
-        free_axis = keep.name
-    found: list[Array] = []
-    free = 0
-    drawn = arm.limits.random(arm.home, _MAX_IK_TRIES, rng)
-    closure = arm.joint_map.closure
-    starts = [start, arm.home, *(drawn if closure is None else closure.inward(arm.home, drawn))]
-    for tries, q0 in enumerate(starts):
-        if free and tries > _IK_TRIES:
-            break
-        result = solve_ik(arm, goal, q0, free_axis=free_axis)
-        if not result.ok and not found:
-            return [], result.reason  # the solver has tried all its starts
-        if not result.ok:
-            continue
-        solution = result.q if resting is None else _with_resting(result.q, start, resting, is_free)
-        if any(np.abs(solution - q).max() <= _SAME_CONFIGURATION for q in found):
-            continue
-        found.append(solution)
-        free += is_free(solution)
-        if free == MAX_ROOTS:
-            break
-    return found, ""
-
-
-def _with_resting(q: Array, start: Array, resting: RestingJoints, is_free: Callable[[Array], bool]) -> Array:
-    """A configuration with joints that rest where they start; idle ones only if it is free with them."""
-    held = np.where(resting.held, start, q)
-    idle = np.where(resting.idle, start, held)
-    return idle if is_free(idle) else held
-
-
-def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:
-    """rad between the axis at a configuration and the direction that it keeps."""
-    axis = arm.fk(q).rotation[:, "xyz".index(keep.name)]
-    return float(np.arctan2(np.linalg.norm(np.cross(axis, keep.direction)), axis @ keep.direction))
 
 
 def _timed(space: FreeSpace, arm: Arm, points: Array) -> JointTrajectory | None:

@@ -14,7 +14,8 @@ from collidable import arm_among, placed
 import armctl
 from armctl.core.target import Target
 from armctl.model.collision.checkers import collision_checker
-from armctl.plan.planner.move_free import CLEARANCE_M, configurations_for
+from armctl.plan.planner.goals import GoalSearch, free_goals
+from armctl.plan.planner.move_free import CLEARANCE_M
 
 WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
 START = np.array([-0.8, 1.0, 0.4, 0.0, 0.3, 0.0])
@@ -331,9 +332,37 @@ def test_more_solutions_of_a_point_are_looked_for_as_long_as_none_is_free(arm):
         tried.append(q)
         return len(tried) > 30
 
-    found, reason = configurations_for(arm, START, point, np.random.default_rng(0), is_free)
-    assert len(found) > 30
-    assert not reason
+    search = GoalSearch(arm, START, point, np.random.default_rng(0), is_free)
+    search.extend(500)
+    assert len(search.found) > 30
+    assert not search.refusal
+
+
+def test_what_was_found_from_few_starts_is_extended_from_more(arm):
+    point = Target.read(arm.fk(GOAL).position)
+
+    def searched(*tries: int) -> np.ndarray:
+        search = GoalSearch(arm, START, point, np.random.default_rng(0), lambda q: False)
+        for most in tries:
+            search.extend(most)
+        return np.array(search.found)
+
+    whole = searched(60)
+    assert np.array_equal(searched(25, 60), whole)
+    assert len(searched(25)) < len(whole)
+    apart = np.abs(whole[:, None] - whole[None]).max(axis=2) + np.eye(len(whole))
+    assert apart.min() > 1e-3
+
+
+def test_a_goal_that_is_blocked_costs_little_beside_one_that_is_free(tmp_path):
+    arm = arm_among(tmp_path)
+    checker = collision_checker(arm)
+    drawn = arm.limits.random(arm.home, 400, np.random.default_rng(2))
+    free = next(q for q in drawn if checker.hit(q, 0.02) < 0)
+    inside = arm.fk(next(q for q in drawn if checker.nearest(q)[1] <= 0.0))
+    alone = free_goals(checker, None, arm, free, arm.fk(free), np.random.default_rng(0))[0]
+    both = free_goals(checker, None, arm, free, [arm.fk(free), inside], np.random.default_rng(0))[0]
+    assert {q.tobytes() for q in alone} <= {q.tobytes() for q in both}
 
 
 def test_no_simulated_move_among_things_touches_anything(tmp_path):

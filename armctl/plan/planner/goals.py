@@ -1,0 +1,173 @@
+"""The goal of a motion: the poses, points, configurations and targets by tip that a caller gives, and their configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from armctl.core.errors import InputError, PlanError
+from armctl.core.pose import Pose, computed_pose
+from armctl.core.target import Target
+from armctl.core.tip_targets import TipTargets, targets_by_tip
+from armctl.core.validation import Array
+from armctl.model.arm.arm import Arm
+from armctl.model.collision.checker import CollisionChecker
+from armctl.model.collision.moving_joints import KeptAxis
+from armctl.plan.ik.resting_joints import RestingJoints, resting_joints
+from armctl.plan.ik.solve import solve_ik
+
+_IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
+_MAX_IK_TRIES = 500  # as long as no solution is free
+MAX_ROOTS = 8  # of the goal tree, for each pose or point
+_SAME_CONFIGURATION = 1e-3  # rad
+
+FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: the type ArrayLike includes Sequence
+
+
+def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
+    """Which bodies of a pair overlap, and how deep."""
+    first, second = checker.names(pair)
+    depth = max(checker.depth(q, pair), 0.0)
+    return f"{second} is {1e3 * depth:.1f} mm inside {first}"
+
+
+def free_goals(
+    checker: CollisionChecker, keep: KeptAxis | None, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """The free configurations of a goal, nearest to the start first, and the freest of them. Raises PlanError."""
+    searches = [
+        GoalSearch(arm, start, candidate, rng, lambda q: checker.nearest(q)[1] > 0.0, keep)
+        for candidate in _goal_list(arm, goal)
+    ]
+    found: list[Array] = []
+    distances: list[float] = []
+    refusals: list[str] = []
+    # One goal of a list is enough: those that are hard to reach are searched further only if all of them are.
+    for tries in (_IK_TRIES + 1, _MAX_IK_TRIES + 2):
+        refusals.clear()
+        for search in searches:
+            search.extend(tries)
+            refusals += [search.refusal] if search.refusal else []
+            for q in search.found:
+                if keep is not None and (tilt := _tilt(arm, q, keep)) >= keep.within:
+                    refusals.append(
+                        f"goal: the tip's {keep.name} axis tilts by {tilt:.3g} rad from its direction at the start, "
+                        f"expected less than {keep.within:.3g}"
+                    )
+                    continue
+                pair, distance = checker.nearest(q)
+                if distance > 0.0:
+                    found.append(q)
+                    distances.append(distance)
+                else:
+                    refusals.append(f"the goal cannot be reached without contact: {overlap_in_words(checker, q, pair)}")
+        if found:
+            break
+    if not found:
+        raise PlanError(refusals[0])
+    order = np.argsort([np.linalg.norm(q - start) for q in found], kind="stable")
+    return np.array(found)[order], found[int(np.argmax(distances))]
+
+
+def _goal_list(arm: Arm, goal: FreeGoal) -> Sequence[Pose | Target | Array | TipTargets]:
+    """A goal, or a list of goals, as poses, points, configurations and targets by tip."""
+    if isinstance(goal, (Pose, Target)):
+        return [goal]
+    if isinstance(goal, Mapping):
+        return [goal]
+    try:
+        is_numbers = np.ndim(goal) == 1 and np.asarray(goal).dtype.kind in "fiub"
+    except ValueError:  # a list of goals of different lengths
+        is_numbers = False
+    goals = [goal] if is_numbers else list(goal) if isinstance(goal, (Sequence, np.ndarray)) else []
+    checked: list[Pose | Target | Array] = []
+    for item in goals:
+        if isinstance(item, (Pose, Target)):
+            checked.append(item)
+            continue
+        numbers = np.asarray(item, dtype=object).reshape(-1)
+        if len(numbers) not in (3, arm.n):
+            raise InputError(f"goal: {item!r:.80} is not a configuration of {arm.n} joints, a Pose or a point of three numbers")
+        checked.append(arm.checked("goal", item) if len(numbers) == arm.n else Target.read(item))
+    if not checked:
+        raise InputError(f"goal: {goal!r:.80} is not a configuration of {arm.n} joints, a Pose, a point or a list of these")
+    return checked
+
+
+class GoalSearch:
+    """The configurations for one goal that have been found.
+
+    Attributes:
+        found: (n,) rad each.
+        refusal: Why there is none.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        start: Array,
+        goal: Pose | Target | Array | TipTargets,
+        rng: np.random.Generator,
+        is_free: Callable[[Array], bool],
+        keep: KeptAxis | None = None,
+    ):
+        self.found: list[Array] = []
+        self.refusal = ""
+        self._arm = arm
+        self._start = start
+        self._is_free = is_free
+        self._known = np.empty((_MAX_IK_TRIES + 2, arm.n))  # what was found, to compare a solution with all at once
+        self._resting: RestingJoints | None = None
+        self._free_axis: str | None = None
+        self._free = 0
+        self._tries = 0
+        self._starts: list[Array] = []
+        if isinstance(goal, np.ndarray):
+            self.found.append(goal)
+            return
+        if isinstance(goal, Mapping):
+            self._resting = resting_joints(arm, goal)
+            goal = targets_by_tip(goal, {tip: arm.fk(start, tip) for tip in arm.tips})
+        if keep is not None and isinstance(goal, Target) and goal.pose is None:
+            goal = computed_pose(goal.position, arm.fk(start).rotation)
+            self._free_axis = keep.name
+        self._goal = goal
+        drawn = arm.limits.random(arm.home, _MAX_IK_TRIES, rng)
+        closure = arm.joint_map.closure
+        self._starts += [start, arm.home, *(drawn if closure is None else closure.inward(arm.home, drawn))]
+
+    def extend(self, most: int) -> None:
+        """Looks for more, from at most so many starts in all; from fewer if some are free already."""
+        while not self.refusal and self._tries < min(most, len(self._starts)):
+            if self._free == MAX_ROOTS or (self._free and self._tries > _IK_TRIES):
+                break
+            result = solve_ik(self._arm, self._goal, self._starts[self._tries], free_axis=self._free_axis)
+            self._tries += 1
+            if result.ok:
+                self._add(result.q)
+            elif not self.found:
+                self.refusal = result.reason  # the solver has tried all its starts
+
+    def _add(self, q: Array) -> None:
+        count = len(self.found)
+        solution = q if self._resting is None else _with_resting(q, self._start, self._resting, self._is_free)
+        if count and np.abs(self._known[:count] - solution).max(axis=1).min() <= _SAME_CONFIGURATION:
+            return
+        self._known[count] = solution
+        self.found.append(solution)
+        self._free += self._is_free(solution)
+
+
+def _with_resting(q: Array, start: Array, resting: RestingJoints, is_free: Callable[[Array], bool]) -> Array:
+    """A configuration with joints that rest where they start; idle ones only if it is free with them."""
+    held = np.where(resting.held, start, q)
+    idle = np.where(resting.idle, start, held)
+    return idle if is_free(idle) else held
+
+
+def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:
+    """rad between the axis at a configuration and the direction that it keeps."""
+    axis = arm.fk(q).rotation[:, "xyz".index(keep.name)]
+    return float(np.arctan2(np.linalg.norm(np.cross(axis, keep.direction)), axis @ keep.direction))
