@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.control import CONTROLLERS
@@ -14,7 +13,6 @@ from armctl.core.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from armctl.model.arm.arm import Arm
-    from armctl.report.report import Report
 
 DONE = 0
 NOT_REACHED = 1
@@ -34,9 +32,12 @@ Commands = argparse._SubParsersAction  # argparse has no public name for it
 Run = Callable[[argparse.Namespace], int]
 
 
-def add_command(commands: Commands, name: str, run: Run, text: str) -> argparse.ArgumentParser:
+def add_command(commands: Commands, name: str, run: Run, text: str, examples: Sequence[str]) -> argparse.ArgumentParser:
+    """A command; its help ends with examples, of which each is what follows `armctl NAME`."""
     parser = commands.add_parser(name, help=text, description=text)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, examples=tuple(examples))
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = "\n".join(["examples:", *(f"  armctl {name} {each}".rstrip() for each in examples)])
     return parser
 
 
@@ -65,10 +66,6 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
-def add_save(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--save", type=Path, metavar="DIR", help="write logs, figures and plots into this folder")
-
-
 def add_speed(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed", metavar="FRACTION", default="1", help="fraction of full speed, in (0, 1] (default 1)")
 
@@ -85,8 +82,8 @@ def timestep_from(args: argparse.Namespace) -> float | None:
 def list_controllers(parser: argparse.ArgumentParser, *, tunable: bool = False) -> None:
     """Lists the controllers below a command's options: all of them, or those that `tune` takes."""
     shown = [(name, row.summary) for name, row in CONTROLLERS.items() if row.tunable_gains is not None or not tunable]
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = "\n".join(["controllers:", *(f"  {name:<26}{summary}" for name, summary in shown)])
+    listed = "\n".join(["controllers:", *(f"  {name:<26}{summary}" for name, summary in shown)])
+    parser.epilog = f"{listed}\n\n{parser.epilog}"
 
 
 def controllers_from(text: str) -> list[str]:
@@ -154,32 +151,14 @@ def names(text: str | None) -> list[str]:
 
 def print_result(args: argparse.Namespace, text: str, figures: object, reason: str = "") -> None:
     """Prints text, or JSON with --json. On a terminal longer lines are folded; in a pipe a sentence stays on one line."""
-    from armctl.core.tables import folded
+    from armctl.core.tables import folded, terminal_columns
 
     if args.json:
         print_json(figures, reason)
     else:
-        print(folded(text) if sys.stdout.isatty() else text)
+        print(folded(text, terminal_columns()) if sys.stdout.isatty() else text)
 
 
 def print_json(figures: object, reason: str) -> None:
     """Prints what every command prints with --json: one object whose keys are the same after success and failure."""
     print(json.dumps({"ok": not reason, "reason": reason, "result": figures}, indent=2))
-
-
-def save_report(report: Report, folder: Path, prefix: str) -> None:
-    from armctl.core.atomic import write_text
-
-    say_written(report.log.save(folder / f"{prefix}log.npz"))
-    say_written(report.log.save(folder / f"{prefix}log.csv"))
-    figures = folder / f"{prefix}report.json"
-    write_text(figures, json.dumps(report.to_dict(), indent=2) + "\n")
-    say_written(figures)
-    plot = folder / f"{prefix}plot.png"
-    report.plot(plot)
-    say_written(plot)
-
-
-def say_written(path: Path) -> None:
-    """Names a file that was written, on stderr."""
-    print(f"wrote {path}", file=sys.stderr)

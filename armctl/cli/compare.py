@@ -7,10 +7,9 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.cli import common
+from armctl.cli import common, outputs
 from armctl.control import CONTROLLERS
 
 if TYPE_CHECKING:
@@ -21,9 +20,15 @@ if TYPE_CHECKING:
 
 _MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
 
+_EXAMPLES = (
+    "panda",
+    "panda --controllers all --plants nominal,payload=1,delay=2 --out run",
+    "ur5e --delay-margin 0.01 --json",
+)
+
 
 def add(commands: common.Commands) -> None:
-    parser = common.add_command(commands, "compare", run, "follow the same motion under several controllers")
+    parser = common.add_command(commands, "compare", run, "follow the same motion under several controllers", _EXAMPLES)
     common.add_arm(parser)
     parser.add_argument(
         "--controllers",
@@ -39,7 +44,6 @@ def add(commands: common.Commands) -> None:
         default="1e-5",
         help="of plants without noise of their own, in rad; velocities are position differences (default %(default)s)",
     )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     parser.add_argument(
         "--configurations",
         type=int,
@@ -68,7 +72,7 @@ def add(commands: common.Commands) -> None:
     )
     common.add_speed(parser)
     common.add_json(parser)
-    common.add_save(parser)
+    outputs.add_out(parser, "the table as JSON, Markdown and a page, and the log and plot of each run")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -86,8 +90,7 @@ def run(args: argparse.Namespace) -> int:
     dwell = number("dwell", common.one_number("dwell", args.dwell), 0.0)
     plants = [plant_by_name(name, arm, timestep) for name in common.names(args.plants)]
     plants = [each if each.encoder_noise else replace(each, encoder_noise=noise, name=str(each)) for each in plants]
-    for folder in filter(None, (args.report, args.save)):
-        folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
+    folders = outputs.make_folders(args)  # one that cannot be made is reported before the runs
     laws, notes = _tuned(args, arm, controllers, plants) if args.delay_margin else (controllers, [])
     motion = out_and_back(arm, speed=speed)
     reports = compare(arm, laws, motion, plants, threads=args.threads, configurations=args.configurations, dwell=dwell)
@@ -95,12 +98,11 @@ def run(args: argparse.Namespace) -> int:
     if notes:
         notes.append("")
     common.print_result(args, "\n".join([*notes, report_table(reports).text(keys=2)]), [r.to_dict() for r in reports])
-    if args.save:
-        for report, prefix in zip(reports, _file_prefixes(reports), strict=True):
-            common.save_report(report, args.save, prefix)
-    if args.report:
-        for path in write_comparison(reports, args.report, "All joints out and back", film_of=arm):
-            common.say_written(path)
+    for folder in folders:
+        for path in write_comparison(reports, folder, "All joints out and back", film_of=arm):
+            outputs.say_written(path)
+    for report, prefix in zip(reports, _file_prefixes(reports), strict=True):
+        outputs.write_outputs(args, outputs.report_outputs(report, prefix))
     return common.DONE
 
 

@@ -4,14 +4,21 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from armctl.cli import common
+from armctl.cli import common, outputs
 from armctl.core.errors import InputError
 
 _QUANTITIES = ("t", "q", "tau")
 
+_EXAMPLES = (
+    "panda run.csv",
+    "panda run.csv --columns t=time q=position_* tau=effort_* --units t=ms q=deg --out identification.html --out panda.urdf",
+)
+
 
 def add(commands: common.Commands) -> None:
-    parser = common.add_command(commands, "identify", run, "identify inertia and friction of an arm from a recording")
+    parser = common.add_command(
+        commands, "identify", run, "identify inertia and friction of an arm from a recording", _EXAMPLES
+    )
     common.add_arm(parser)
     parser.add_argument("file", type=Path, help="the recording: a .csv of t, q and tau, or a log of armctl (.npz)")
     parser.add_argument("--friction", default="coulomb+viscous", help="none, coulomb+viscous (the default) or stribeck")
@@ -19,9 +26,7 @@ def add(commands: common.Commands) -> None:
     parser.add_argument("--units", nargs="+", metavar="QUANTITY=UNIT", help="units, such as t=ms q=deg")
     parser.add_argument("--holdout", default="0.2", help="share of the recording that validates the result (default 0.2)")
     parser.add_argument("--any-inertia", action="store_true", help="accept physically inconsistent inertia")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write the torques and figures into this .html")
-    parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write the robot with the result into this .xml")
-    parser.add_argument("--urdf", type=Path, metavar="FILE", help="write the chain with the result into this .urdf")
+    outputs.add_out(parser, "a page of the figures, and the robot with the result", [".html", ".xml", ".urdf"])
     common.add_json(parser)
 
 
@@ -30,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from armctl.lab.identification.identification_page import identification_page
     from armctl.lab.identification.identify import identify
 
+    outputs.check_out(args)
     columns = _table("columns", args.columns)
     units = _table("units", args.units)
     holdout = common.one_number("holdout", args.holdout)
@@ -39,15 +45,12 @@ def run(args: argparse.Namespace) -> int:
     log = Log.load(args.file) if is_log else Log.from_csv(args.file, columns, units=units, robot=arm.name)
     estimate = identify(arm, log, args.friction, not args.any_inertia, holdout=holdout)
     common.print_result(args, str(estimate), estimate.to_dict(), estimate.reason)
-    if args.page:
-        common.say_written(identification_page(estimate, args.page))
-    if not estimate:
-        return common.NOT_REACHED
-    if args.mjcf:
-        common.say_written(estimate.to_mjcf(args.mjcf, args.robot))
-    if args.urdf:
-        common.say_written(estimate.to_urdf(args.urdf))
-    return common.DONE
+    files = [outputs.Output("identification.html", (".html",), lambda path: identification_page(estimate, path))]
+    if estimate:
+        files.append(outputs.Output(f"{arm.name}.xml", (".xml",), lambda path: estimate.to_mjcf(path, args.robot)))
+        files.append(outputs.Output(f"{arm.name}.urdf", (".urdf",), estimate.to_urdf))
+    outputs.write_outputs(args, files)
+    return common.DONE if estimate else common.NOT_REACHED
 
 
 def _table(what: str, words: Sequence[str] | None) -> dict[str, str]:

@@ -7,9 +7,14 @@ from armctl.cli import common
 
 _STANDARD_SPEEDS = (1.0, 0.5, 0.1)
 
+_EXAMPLES = (
+    "panda",
+    "panda --plant payload=1+noise --identify --all-speeds",
+)
+
 
 def add(commands: common.Commands) -> None:
-    parser = common.add_command(commands, "iso9283", run, "measure the performance criteria of ISO 9283")
+    parser = common.add_command(commands, "iso9283", run, "measure the performance criteria of ISO 9283", _EXAMPLES)
     common.add_arm(parser)
     parser.add_argument("--controller", default="computed-torque-observer", help="one of those below (default %(default)s)")
     common.list_controllers(parser)

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.cli import common
+from armctl.cli import common, outputs
 from armctl.core.defaults import MAX_PEAK_SENSITIVITY, MIN_DELAY_MARGIN_S
 
 if TYPE_CHECKING:
     from armctl.model.arm.arm import Arm
     from armctl.run.sim.plant import Plant
 
+_MARGINS_EXAMPLES = (
+    "panda",
+    "panda --controllers pd,computed-torque --plants nominal,delay=2 --out margins.html",
+)
+_TUNE_EXAMPLES = (
+    "panda pd-gravity",
+    "panda computed-torque --delay-margin 0.01 --plants nominal,payload=1",
+)
+
 
 def add(commands: common.Commands) -> None:
-    margins = common.add_command(commands, "margins", compute_margins, "compute the margins of controllers over the workspace")
-    tune = common.add_command(commands, "tune", tune_law, "find the highest gains of a controller within bounds on its margins")
+    margins = common.add_command(
+        commands, "margins", compute_margins, "compute the margins of controllers over the workspace", _MARGINS_EXAMPLES
+    )
+    tune = common.add_command(
+        commands, "tune", tune_law, "find the highest gains of a controller within bounds on its margins", _TUNE_EXAMPLES
+    )
     for parser in (margins, tune):
         common.add_arm(parser)
         parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{common.PLANTS_HELP} (default nominal)")
@@ -25,9 +37,7 @@ def add(commands: common.Commands) -> None:
         common.add_json(parser)
     margins.add_argument("--controllers", default="all", metavar="A,B,...", help="some of those below (default all)")
     common.list_controllers(margins)
-    margins.add_argument(
-        "--report", type=Path, metavar="DIR", help="write a page with Nyquist, sensitivity and compliance plots"
-    )
+    outputs.add_out(margins, "a page with Nyquist, sensitivity and compliance plots", [".html"])
     tune.add_argument("law", help="the controller, one of those below")
     common.list_controllers(tune, tunable=True)
     tune.add_argument(
@@ -58,6 +68,7 @@ def compute_margins(args: argparse.Namespace) -> int:
     from armctl.lab.loops.margins import margins
     from armctl.lab.loops.margins_html import margins_table, write_margins
 
+    outputs.check_out(args)
     arm, plants = _arm_and_plants(args)
     controllers = common.controllers_from(args.controllers)
     found = []
@@ -67,8 +78,8 @@ def compute_margins(args: argparse.Namespace) -> int:
             bar.update()
     reason = next((each.reason for each in found if not each), "")
     common.print_result(args, margins_table(found).text(), [each.to_dict() for each in found], reason)
-    if args.report:
-        common.say_written(write_margins(arm, found, plants, args.report))
+    page = outputs.Output("margins.html", (".html",), lambda path: write_margins(arm, found, plants, path))
+    outputs.write_outputs(args, [page])
     return common.DONE if all(found) else common.NOT_REACHED
 
 

@@ -3,14 +3,20 @@
 import argparse
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
-from armctl.cli import common
+from armctl.cli import common, outputs
+from armctl.core.defaults import FILM_ENDINGS, PICTURE_ENDINGS
 from armctl.core.errors import InputError, LimitError
+
+_EXAMPLES = (
+    "panda --target 0.5 0.2 0.4",
+    "panda --target 0.5 0.2 0.4 3.14 0 0 --controller computed-torque-observer --out run",
+    "ur5e --out reach.mp4",
+)
 
 
 def add(commands: common.Commands) -> None:
-    parser = common.add_command(commands, "reach", run, "move the tip to a target and report")
+    parser = common.add_command(commands, "reach", run, "move the tip to a target and report", _EXAMPLES)
     common.add_arm(parser)
     parser.add_argument("--target", nargs="+", metavar="N", help="x y z in m, optionally with roll pitch yaw in rad")
     parser.add_argument(
@@ -18,11 +24,10 @@ def add(commands: common.Commands) -> None:
     )
     parser.add_argument("--controller", default="computed-torque", help="one of those below (default %(default)s)")
     common.list_controllers(parser)
-    parser.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     parser.add_argument("--video-speed", metavar="X", default="1", help="speed of the film; 0.5 is slow motion (default 1)")
     common.add_speed(parser)
     common.add_json(parser)
-    common.add_save(parser)
+    outputs.add_out(parser, "log, figures and plots", [".npz", ".csv", ".json", *PICTURE_ENDINGS, *FILM_ENDINGS])
 
 
 def run(args: argparse.Namespace) -> int:
@@ -32,8 +37,10 @@ def run(args: argparse.Namespace) -> int:
     from armctl.report.report import Report
     from armctl.run.sim.simulation import Simulation
 
-    if args.video:
-        film_path(args.video, "video")
+    outputs.check_out(args)
+    for path in args.out:
+        if path.suffix in FILM_ENDINGS:
+            film_path(path, "out")
     video_speed = number("video_speed", common.one_number("video_speed", args.video_speed), 0.01, 100.0)
     allow = [_pair(words) for words in args.allow]
     simulation = Simulation(common.load_arm(args), args.controller)
@@ -44,10 +51,8 @@ def run(args: argparse.Namespace) -> int:
         return common.NOT_REACHED
     report = Report.from_log(result.log)
     common.print_result(args, str(report), report.to_dict(), result.reason or report.reason)
-    if args.save:
-        common.save_report(report, args.save, "")
-    if args.video:
-        common.say_written(simulation.record(args.video, speed=video_speed))
+    film = outputs.Output("", FILM_ENDINGS, lambda path: simulation.record(path, speed=video_speed))
+    outputs.write_outputs(args, [*outputs.report_outputs(report), film])
     return common.DONE if result and report else common.NOT_REACHED
 
 

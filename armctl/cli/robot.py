@@ -16,9 +16,17 @@ if TYPE_CHECKING:
 
 _MODELS = {"franka": "fr3", "so101": "so101", "plant": "robot_arm_3dof"}
 
+_EXAMPLES = (
+    "check 172.16.0.2",
+    "view 172.16.0.2 --tool panda_hand",
+    "check /dev/ttyACM0 --link so101 --calibration arm.json",
+)
+
 
 def add(commands: common.Commands) -> None:
-    parser = common.add_command(commands, "robot", run, "check the connection to a robot, or move it by hand on a page")
+    parser = common.add_command(
+        commands, "robot", run, "check the connection to a robot, or move it by hand on a page", _EXAMPLES
+    )
     parser.add_argument("action", choices=["check", "view"], help="check: hold the position, and measure; view: a page")
     parser.add_argument("host", help="address of a Franka, serial port of an SO-101, any word for a simulated plant")
     parser.add_argument("--link", choices=list(_MODELS), default="franka", help="which robot (default %(default)s)")

@@ -6,13 +6,25 @@ from armctl.cli import common
 
 
 def add(commands: common.Commands) -> None:
-    robots = common.add_command(commands, "robots", list_robots, "list the known robots, and which of them are installed")
+    robots = common.add_command(
+        commands, "robots", list_robots, "list the known robots, and which of them are installed", ["", "--ratings"]
+    )
     robots.add_argument("--ratings", action="store_true", help="the makers' payload, reach and speeds, with their source")
-    chains = common.add_command(commands, "chains", list_chains, "list every serial chain of a robot: arms, legs, fingers")
+    chains = common.add_command(
+        commands, "chains", list_chains, "list every serial chain of a robot: arms, legs, fingers", ["aloha"]
+    )
     common.add_robot(chains)
-    info = common.add_command(commands, "info", show_info, "show a robot's joints and limits")
+    info = common.add_command(
+        commands, "info", show_info, "show a robot's joints and limits", ["panda", "ur5e --tool robotiq_2f85"]
+    )
     common.add_arm(info)
-    doctor = common.add_command(commands, "doctor", run_doctor, "list what is missing, impossible or assumed in a robot's file")
+    doctor = common.add_command(
+        commands,
+        "doctor",
+        run_doctor,
+        "list what is missing, impossible or assumed in a robot's file",
+        ["panda", "my_robot.urdf"],
+    )
     common.add_robot(doctor)
     doctor.add_argument("--tip", help="site, body or geom at the end of the chain")
     doctor.add_argument("--base", help="body at the start of the chain")

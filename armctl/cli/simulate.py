@@ -1,29 +1,31 @@
 """`armctl simulate ROBOT --ctrl ...`: constant controls."""
 
 import argparse
-from pathlib import Path
 
-from armctl.cli import common
+from armctl.cli import common, outputs
+from armctl.core.defaults import PICTURE_ENDINGS
+
+_EXAMPLES = (
+    "robot_arm_3dof --ctrl 0.5 -0.3 -0.2",
+    "robot_arm_3dof --ctrl 0 0 0 --duration 5 --out plot.svg",
+)
 
 
 def add(commands: common.Commands) -> None:
-    parser = common.add_command(commands, "simulate", run, "simulate the arm under constant motor controls")
+    parser = common.add_command(commands, "simulate", run, "simulate the arm under constant motor controls", _EXAMPLES)
     common.add_arm(parser)
     parser.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control per motor; torque = gear x control")
     parser.add_argument("--duration", default="2", help="how long, s (default 2)")
-    parser.add_argument("--plot", type=Path, metavar="PATH", help="draw the run: a picture, or a folder for it")
+    outputs.add_out(parser, "the log and its plot", [".npz", ".csv", *PICTURE_ENDINGS])
     common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     from armctl.cli.describe import describe_end
-    from armctl.core.atomic import file_path
-    from armctl.core.plotting import ENDINGS
     from armctl.report.plot import four_panels
     from armctl.run.sim.simulation import Simulation
 
-    if args.plot is not None and args.plot.suffix and not args.plot.is_dir():
-        file_path("plot", args.plot, ENDINGS)
+    outputs.check_out(args)
     arm = common.load_arm_with_notes(args)
     log = Simulation(arm).apply_ctrl(common.numbers("ctrl", args.ctrl), common.one_number("duration", args.duration))
     columns = {"q": log.q, "v": log.v, "tau": log.tau}
@@ -31,8 +33,6 @@ def run(args: argparse.Namespace) -> int:
     last = {"t": log.t[-1], **joints, "tip": log.tip[-1].round(6).tolist()}
     lines = [describe_end(log), *(f"note: {note}" for note in arm.notes)]
     common.print_result(args, "\n".join(lines), last | {"notes": list(arm.notes)}, log.failure)
-    if args.plot:
-        picture = args.plot if args.plot.suffix in ENDINGS else args.plot / f"{args.robot.replace('/', '_')}.png"
-        four_panels(log, picture)
-        common.say_written(picture)
+    logs = [outputs.Output(f"log{ending}", (ending,), log.save) for ending in (".npz", ".csv")]
+    outputs.write_outputs(args, [*logs, *outputs.plot_outputs(lambda path: four_panels(log, path))])
     return common.NOT_REACHED if log.failure else common.DONE

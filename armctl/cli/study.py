@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.cli import common
+from armctl.cli import common, outputs
 from armctl.core.errors import InputError, import_extra
 
 if TYPE_CHECKING:
@@ -18,10 +18,15 @@ if TYPE_CHECKING:
 
 _CONNECT_TIMEOUT_S = 30
 
+_EXAMPLES = (
+    "study.toml --out out",
+    "study.toml --dask tcp://10.0.0.1:8786",
+)
+
 
 def add(commands: common.Commands) -> None:
     parser = common.add_command(
-        commands, "study", run, "simulate many runs over factors and controllers; a second start continues"
+        commands, "study", run, "simulate many runs over factors and controllers; a second start continues", _EXAMPLES
     )
     parser.add_argument("file", type=Path, help="the study, a .toml file with the arguments of armctl.Study")
     parser.add_argument(
@@ -31,7 +36,7 @@ def add(commands: common.Commands) -> None:
     place.add_argument("--threads", type=int, metavar="N", help="number of threads (default one per processor core)")
     place.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
     parser.add_argument("--metric", default="tip_rms_m", help="the metric of the table and the plots (default %(default)s)")
-    parser.add_argument("--save", type=Path, metavar="DIR", help="write the table (Parquet) and plots into this folder")
+    outputs.add_out(parser, "the table (Parquet) and plots")
     common.add_json(parser)
 
 
@@ -51,24 +56,21 @@ def run(args: argparse.Namespace) -> int:
     summary = result.summary([args.metric])
     reason = "" if summary.ok else f"{summary.reason}\n\n"
     common.print_result(args, f"{reason}{summary.table().text()}", summary.to_dict(), result.reason)
-    if args.save:
-        _save(result, args.save, args.metric)
+    outputs.write_outputs(args, _outputs(result, args.metric))
     return common.DONE if result else common.NOT_REACHED
 
 
-def _save(result: StudyResult, folder: Path, metric: str) -> None:
+def _outputs(result: StudyResult, metric: str) -> list[outputs.Output]:
+    """The table, and the plots that its factors allow."""
     name = result.study.name
-    common.say_written(result.save(folder / f"{name}.parquet"))
+    files = [outputs.Output(f"{name}.parquet", (), result.save)]
     numeric = result.numeric_factors
     if numeric:
-        for plot, kind in ((result.plot_quantiles, "quantiles"), (result.plot_tornado, "tornado")):
-            path = folder / f"{name}-{kind}.png"
-            plot(path, metric)
-            common.say_written(path)
+        files += outputs.plot_outputs(lambda path: result.plot_quantiles(path, metric), f"{name}-quantiles")
+        files += outputs.plot_outputs(lambda path: result.plot_tornado(path, metric), f"{name}-tornado")
     if len(numeric) > 1:
-        path = folder / f"{name}-success.png"
-        result.plot_success(path)
-        common.say_written(path)
+        files += outputs.plot_outputs(result.plot_success, f"{name}-success")
+    return files
 
 
 @contextmanager

@@ -23,9 +23,15 @@ _NO_SCENE = "none"
 _M_MMAP_THRESHOLD = -3  # mallopt(3)
 _LARGE_BUFFER_BYTES = 128 * 1024
 
+_EXAMPLES = (
+    "panda",
+    "panda --scene table.xml --controller impedance",
+    "ur5e --host 192.168.0.7 --token-file token.txt",
+)
+
 
 def add(commands: common.Commands) -> None:
-    parser = common.add_command(commands, "view", run, "drag a target in the browser; the arm follows it")
+    parser = common.add_command(commands, "view", run, "drag a target in the browser; the arm follows it", _EXAMPLES)
     common.add_arm(parser, several_scenes=True)
     parser.add_argument(
         "--controller", default="computed-torque", help="the first controller, one of those below (default %(default)s)"

@@ -13,3 +13,6 @@ DEFAULT_GRIP_FORCE = 10.0  # N
 CONFIDENCE = 0.95  # of intervals
 FINDING_ERRORS = 3.0  # standard errors, from which a difference is a finding
 MAX_FILE_VALUE = 1e9  # in SI units: a larger number in a file is damaged
+
+PICTURE_ENDINGS = (".png", ".svg", ".pdf")
+FILM_ENDINGS = (".mp4", ".gif")

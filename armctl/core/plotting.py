@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armctl.core.atomic import atomic_path, file_path
+from armctl.core.defaults import PICTURE_ENDINGS
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.validation import shown
 
@@ -41,7 +42,6 @@ STYLE: dict[Any, Any] = {
     "savefig.dpi": 120,
     "svg.hashsalt": "armctl",
 }
-ENDINGS = (".png", ".svg", ".pdf")
 
 
 def finish_figure(
@@ -49,7 +49,7 @@ def finish_figure(
 ) -> Path | None:
     """Draws into a file, or into a window or a notebook."""
     if path is not None:
-        path = file_path("path", path, ENDINGS)
+        path = file_path("path", path, PICTURE_ENDINGS)
     import matplotlib
     from matplotlib.figure import Figure
 

@@ -2,11 +2,13 @@
 
 import html
 import re
+import shutil
+import sys
 import textwrap
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-TERMINAL_COLUMNS = 80
+PIPE_COLUMNS = 80  # where the output is no terminal
 _LONGEST_LABEL = 30  # characters; a longer beginning of a line is no label
 _MAX_CELL = 36  # columns; longer cells are wrapped
 
@@ -22,8 +24,9 @@ class Table:
         """The table in GitHub's Markdown; a `|` in a cell is escaped."""
         return self._formatted("github", [[_one_line(cell).replace("|", r"\|") for cell in row] for row in self._lines()])
 
-    def text(self, width: int = TERMINAL_COLUMNS, keys: int = 1) -> str:
-        """The table for a terminal. One that is wider continues below, with its first columns (`keys` of them) repeated."""
+    def text(self, width: int | None = None, keys: int = 1) -> str:
+        """The table for a terminal, by default this one. A wider table continues below, with its first `keys` columns again."""
+        width = terminal_columns() if width is None else width
         lines = [[_one_line(cell) for cell in row] for row in self._lines()]
         columns = [[_wrapped(row[i], k == 0, lines, i) for k, row in enumerate(lines)] for i in range(len(self.header))]
         widths = [max(len(line) for cell in column for line in cell) for column in columns]
@@ -52,11 +55,16 @@ class Table:
         return tabulate(lines[1:], lines[0], tablefmt=kind, disable_numparse=True)
 
 
+def terminal_columns() -> int:
+    """The width of the terminal that the output goes to; 80 where it goes elsewhere."""
+    return shutil.get_terminal_size((PIPE_COLUMNS, 1)).columns if sys.stdout.isatty() else PIPE_COLUMNS
+
+
 def _one_line(cell: str) -> str:
     return " ".join(str(cell).split())
 
 
-def folded(text: str, width: int = TERMINAL_COLUMNS) -> str:
+def folded(text: str, width: int = PIPE_COLUMNS) -> str:
     """Text whose longer lines continue below, in line with the value after a label and two spaces."""
     return "\n".join(_folded(line, width) for line in text.split("\n"))
 

@@ -15,9 +15,9 @@ from commands import armctl_command
 from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
 
 import armctl
-from armctl.cli.main import main, with_options
+from armctl.cli.main import command_parser, main, with_options
 from armctl.control import CONTROLLERS
-from armctl.core.tables import TERMINAL_COLUMNS, Table, folded
+from armctl.core.tables import PIPE_COLUMNS, Table, folded
 from armctl.model.loading.datasheets import ROWS
 
 
@@ -83,7 +83,7 @@ def listed_controllers(capsys, command: str) -> list[str]:
     with pytest.raises(SystemExit):
         main([command, "--help"])
     _, _, listed = capsys.readouterr().out.partition("controllers:\n")
-    return [line.split()[0] for line in listed.splitlines()]
+    return [line.split()[0] for line in listed.partition("\n\n")[0].splitlines()]
 
 
 def test_the_help_lists_all_controllers(capsys):
@@ -192,22 +192,22 @@ def test_a_controller_that_sags_exits_1(capsys, monkeypatch):
 
 
 def test_save_writes_the_log_the_figures_and_the_plot(capsys, tmp_path):
-    status, _, err = run(capsys, "reach", BUNDLED, "--save", str(tmp_path / "run"))
+    status, _, err = run(capsys, "reach", BUNDLED, "--out", str(tmp_path / "run"))
     assert status == 0
-    assert sorted(p.name for p in (tmp_path / "run").iterdir()) == ["log.csv", "log.npz", "plot.png", "report.json"]
-    assert err.count("wrote") == 4
+    assert sorted(p.name for p in (tmp_path / "run").iterdir()) == ["log.csv", "log.npz", "plot.pdf", "plot.png", "report.json"]
+    assert err.count("wrote") == 5
     assert json.loads((tmp_path / "run" / "report.json").read_text())["ok"]
 
 
 def test_simulate_holds_the_controls_and_plots(capsys, tmp_path):
     status, out, _ = run(
-        capsys, "simulate", BUNDLED, "--ctrl", "0.5", "-0.3", "-0.2", "--duration", "2", "--plot", str(tmp_path)
+        capsys, "simulate", BUNDLED, "--ctrl", "0.5", "-0.3", "-0.2", "--duration", "2", "--out", str(tmp_path)
     )
     assert status == 0
     assert "shoulder_yaw" in out
     assert "after 2.000 s the tip is at" in out
-    assert (tmp_path / f"{BUNDLED}.png").is_file()
-    run(capsys, "simulate", BUNDLED, "--ctrl", "0", "0", "0", "--duration", "0.1", "--plot", str(tmp_path / "mine.svg"))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "log.npz", "plot.pdf", "plot.png"]
+    run(capsys, "simulate", BUNDLED, "--ctrl", "0", "0", "0", "--duration", "0.1", "--out", str(tmp_path / "mine.svg"))
     assert (tmp_path / "mine.svg").is_file()
 
 
@@ -235,10 +235,35 @@ def test_an_arm_whose_joints_bear_no_weight_holds_any_payload(capsys, tmp_path: 
     assert json.loads(out, parse_constant=pytest.fail)["result"]["static_payload_kg"] is None
 
 
+def test_every_command_has_examples_that_its_parser_takes():
+    parser = command_parser()
+    for command in parser.known:
+        examples = parser.parse_args(_least(command)).examples
+        assert examples
+        for example in examples:
+            assert parser.parse_args([command, *example.split()]).run
+
+
+def _least(command: str) -> list[str]:
+    """The fewest words that a command takes."""
+    words = {"robots": [], "identify": ["panda", "run.csv"], "simulate": ["panda", "--ctrl", "0"], "robot": ["check", "host"]}
+    return [command, *words.get(command, ["panda", "pd"] if command == "tune" else ["panda"])]
+
+
+def test_tables_use_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch):
+    table = Table(["name", *(f"column {i}" for i in range(20))], [["row", *map(str, range(20))]])
+    assert max(map(len, table.text().splitlines())) <= PIPE_COLUMNS
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "140")
+    assert PIPE_COLUMNS < max(map(len, table.text().splitlines())) <= 140
+
+
 def test_robots_lists_every_name(capsys):
     status, out, _ = run(capsys, "robots")
     assert status == 0
-    assert {BUNDLED, "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"} <= {line.split()[0] for line in out.splitlines()}
+    names = [line.split()[0] for line in out.splitlines()]
+    assert {BUNDLED, "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"} <= set(names)
+    assert names == [BUNDLED, *sorted(set(names) - {BUNDLED})]
     _, listed, _ = run(capsys, "robots", "--json")
     assert [row["name"] for row in json.loads(listed)["result"]] == [line.split()[0] for line in out.splitlines()]
 
@@ -254,7 +279,7 @@ def test_robots_tells_which_are_on_this_machine(capsys, tmp_path, monkeypatch: p
 def test_ratings_have_a_payload_a_reach_and_a_source_for_each_data_sheet(capsys):
     status, out, _ = run(capsys, "robots", "--ratings")
     assert status == 0
-    assert max(map(len, out.splitlines())) <= TERMINAL_COLUMNS
+    assert max(map(len, out.splitlines())) <= PIPE_COLUMNS
     ratings, sources = out.split("\n\n")
     rows = [line.split() for line in ratings.splitlines()[3:]]
     assert ["franka_emika_panda", "3", "0.855"] in [cells[:3] for cells in rows]
@@ -263,7 +288,7 @@ def test_ratings_have_a_payload_a_reach_and_a_source_for_each_data_sheet(capsys)
 
 
 def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
-    files = ["--out", str(tmp_path / "reach.npz"), "--plot", str(tmp_path / "reach.png")]
+    files = ["--out", str(tmp_path / "reach.npz"), "--out", str(tmp_path / "reach.png")]
     status, out, err = run(capsys, "reachability", BUNDLED, "--spacing", "0.3", *files)
     assert status == 0
     found = armctl.Reachability.load(tmp_path / "reach.npz")
@@ -277,7 +302,7 @@ def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
 @pytest.mark.full
 def test_margins_are_a_table_and_a_page(capsys, tmp_path):
     chosen = ("--controllers", "pd,pd-gravity", "--configurations", "3", "--timestep", "0.002")
-    status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--report", str(tmp_path))
+    status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--out", str(tmp_path))
     assert status == 0, err
     assert [line.split()[0] for line in out.splitlines()[-2:]] == ["pd", "pd-gravity"]
     page = (tmp_path / "margins.html").read_text()
@@ -292,7 +317,7 @@ def test_margins_are_a_table_and_a_page(capsys, tmp_path):
 def test_compare_shows_every_controller(capsys):
     status, out, _ = run(capsys, "compare", BUNDLED, "--controllers", "all")
     assert status == 0
-    assert max(map(len, out.splitlines())) <= TERMINAL_COLUMNS
+    assert max(map(len, out.splitlines())) <= PIPE_COLUMNS
     for controller in CONTROLLERS:
         assert f"\n{controller} " in out
 
@@ -302,8 +327,8 @@ WRONG_CALLS = {
     "no speed": (["reach", BUNDLED, "--speed", "0"], "speed: expected a fraction in (0, 1], got 0"),
     "too fast": (["compare", BUNDLED, "--speed", "1.5"], "speed: expected a fraction in (0, 1], got 1.5"),
     "a word as speed": (["iso9283", BUNDLED, "--speed", "fast"], "--speed: 'fast' is not a number"),
-    "no film": (["reach", BUNDLED, "--video", "x.avi"], "--video: 'x.avi' ends in '.avi', expected .mp4 or .gif"),
-    "no picture": (["simulate", BUNDLED, "--ctrl", "0", "0", "0", "--plot", "x.bmp"], "--plot: 'x.bmp' ends in '.bmp'"),
+    "no film": (["reach", BUNDLED, "--out", "x.avi"], "--out: 'x.avi' ends in '.avi', expected .npz, .csv, "),
+    "no picture": (["simulate", BUNDLED, "--ctrl", "0", "0", "0", "--out", "x.bmp"], "--out: 'x.bmp' ends in '.bmp'"),
     "negative mass": (
         ["compare", BUNDLED, "--plants", "mass=-1"],
         "plant mass=-1: mass_scale: expected",
@@ -327,7 +352,7 @@ WRONG_CALLS = {
     "control out of range": (["simulate", BUNDLED, "--ctrl", "1", "1", "9"], "ctrl: elbow: 9 is outside [-5, 5]"),
     "no controllers": (["compare", BUNDLED, "--controllers", ""], "expected a list of at least one of each"),
     "no plants": (["compare", BUNDLED, "--plants", ","], "expected a list of at least one of each"),
-    "no folder": (["compare", BUNDLED, "--report", "/dev/null/x"], "/dev/null/x: Not a directory"),
+    "no folder": (["compare", BUNDLED, "--out", "/dev/null/x"], "/dev/null/x: Not a directory"),
     "unknown tip": (["reach", BUNDLED, "--tip", "end_efector"], "did you mean 'end_effector'?"),
 }
 
@@ -390,10 +415,10 @@ def _paths() -> dict[str, str]:
 @pytest.mark.full
 def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
     chosen = ("--controllers", "pd,computed-torque", "--plants", "nominal,payload=1")
-    status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--report", str(tmp_path), "--threads", "1", "--json")
+    status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--out", str(tmp_path), "--threads", "1", "--json")
     assert status == 0
     assert [(r["controller"], r["plant"]) for r in json.loads(out)["result"]][-1] == ("computed-torque", "payload 1 kg")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.html", "comparison.json", "comparison.md"]
+    assert {f"comparison.{ending}" for ending in ("html", "json", "md")} <= {path.name for path in tmp_path.iterdir()}
 
 
 @pytest.mark.full
@@ -411,9 +436,9 @@ def test_compare_tunes_controllers_to_one_delay_margin(capsys):
 @pytest.mark.full
 def test_compare_saves_every_run_in_files_of_its_own(capsys, tmp_path):
     plants = "friction=0.01,friction=0.05"
-    status, _, err = run(capsys, "compare", BUNDLED, "--plants", plants, "--save", str(tmp_path), "--threads", "1")
+    status, _, err = run(capsys, "compare", BUNDLED, "--plants", plants, "--out", str(tmp_path), "--threads", "1")
     assert status == 0
-    assert len(list(tmp_path.iterdir())) == err.count("wrote") == 16
+    assert len(list(tmp_path.iterdir())) == err.count("wrote") == 23
 
 
 @pytest.mark.full
@@ -464,7 +489,7 @@ def test_a_full_disk_names_the_file(tmp_path):
         "resource.setrlimit(resource.RLIMIT_FSIZE, (4000, resource.RLIM_INFINITY))\n"
         "sys.exit(main(sys.argv[1:]))"
     )
-    command = [sys.executable, "-c", code, "reach", BUNDLED, "--save", str(tmp_path)]
+    command = [sys.executable, "-c", code, "reach", BUNDLED, "--out", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | _paths())
     assert done.returncode == 2
     assert done.stderr == f"armctl: {tmp_path / 'log.npz'}: cannot be written: File too large\n"

@@ -12,9 +12,9 @@ import pytest
 from arms import BUNDLED
 
 COMMANDS = {
-    "reach": ["reach", BUNDLED, "--save", "FOLDER"],
-    "compare": ["compare", BUNDLED, "--save", "FOLDER", "--threads", "1"],
-    "compare on two threads": ["compare", BUNDLED, "--controllers", "all", "--report", "FOLDER", "--threads", "2"],
+    "reach": ["reach", BUNDLED, "--out", "FOLDER"],
+    "compare": ["compare", BUNDLED, "--out", "FOLDER", "--threads", "1"],
+    "compare on two threads": ["compare", BUNDLED, "--controllers", "all", "--out", "FOLDER", "--threads", "2"],
 }
 # The time before this line belongs to Python itself, which a signal may end without a word from us.
 CODE = "import sys; from armctl.cli import program; print('ready', flush=True); sys.exit(program())"

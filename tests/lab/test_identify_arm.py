@@ -284,7 +284,7 @@ def test_the_command_identifies_and_writes(arms, motions, tmp_path, capsys):
     words = ["identify", str(tmp_path / "serial.xml"), str(tmp_path / "run.csv"), "--json"]
     words += ["--columns", "t=time", "q=a*", "tau=m*", "--units", "t=ms"]
     files = [tmp_path / "page.html", tmp_path / "arm.xml", tmp_path / "arm.urdf"]
-    status = main([*words, "--page", str(files[0]), "--mjcf", str(files[1]), "--urdf", str(files[2])])
+    status = main([*words, *(word for file in files for word in ("--out", str(file)))])
     out, _ = capsys.readouterr()
     assert json.loads(out)["ok"] == (status == 0)
     assert status == 0

@@ -220,10 +220,10 @@ def test_the_command_makes_a_study_and_writes_what_it_found(toml, tmp_path, caps
     command = ["study", str(tmp_path / "trial.toml"), "--folder", str(tmp_path)]
     assert main([*command, "--threads", "0"]) == 2
     assert "--threads: expected at least 1, got 0" in capsys.readouterr().err
-    assert main([*command, "--threads", "1", "--save", str(tmp_path / "out")]) == 0
+    assert main([*command, "--threads", "1", "--out", str(tmp_path / "out")]) == 0
     assert re.search(r"^computed-torque +16 ", capsys.readouterr().out, re.MULTILINE)
-    names = {"trial.parquet", "trial-quantiles.png", "trial-tornado.png", "trial-success.png"}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    plots = {f"trial-{plot}.{ending}" for plot in ("quantiles", "tornado", "success") for ending in ("png", "pdf")}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"trial.parquet", *plots}
     assert main(["study", str(tmp_path / "trial.toml"), "--dask", "nowhere://here"]) == 2
     assert "--dask: nowhere://here: " in capsys.readouterr().err
 

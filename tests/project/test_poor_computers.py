@@ -48,7 +48,7 @@ def test_no_home_directory_is_needed(home):
 
 def test_a_folder_in_which_nothing_can_be_written_is_named_where_something_is_saved():
     assert_reached(run(PROGRAM, *REACH, folder="/proc"))
-    done = run(PROGRAM, *REACH, "--save", "out", folder="/proc")
+    done = run(PROGRAM, *REACH, "--out", "out", folder="/proc")
     assert_one_sentence(done)
     assert "out" in done.stderr
 
@@ -57,4 +57,4 @@ def test_a_folder_that_was_deleted_is_no_traceback(tmp_path):
     folder = tmp_path / "gone"
     code = f"import os; folder = {str(folder)!r}; os.mkdir(folder); os.chdir(folder); os.rmdir(folder); " + PROGRAM
     assert_reached(run(code, *REACH))
-    assert_one_sentence(run(code, *REACH, "--save", "out"))
+    assert_one_sentence(run(code, *REACH, "--out", "out"))

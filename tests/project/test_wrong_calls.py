@@ -155,9 +155,9 @@ def test_a_log_whose_columns_differ_in_length_is_no_log(log: Path):
 
 
 LINES = {
-    "reach robot_arm_3dof --save FILE": "FILE/log.npz: cannot be written: File exists",
-    "reach robot_arm_3dof --save FILE/run": "FILE/run/log.npz: cannot be written: Not a directory",
-    "simulate robot_arm_3dof --ctrl 0 0 0 --plot FILE": "FILE/robot_arm_3dof.png: cannot be written: File exists",
+    "reach robot_arm_3dof --out FILE": "FILE/log.npz: cannot be written: File exists",
+    "reach robot_arm_3dof --out FILE/run": "FILE/run/log.npz: cannot be written: Not a directory",
+    "simulate robot_arm_3dof --ctrl 0 0 0 --out FILE": "FILE/log.npz: cannot be written: File exists",
     "simulate robot_arm_3dof --ctrl 0 0 0 --duration 1e9": "fit into a log",
     "compare robot_arm_3dof --controllers ,": "expected a list of at least one of each",
     "compare robot_arm_3dof --threads 0": "threads: expected a number at least 1, got 0",

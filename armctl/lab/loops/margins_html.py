@@ -34,8 +34,8 @@ def margins_table(found: Sequence[Margins]) -> Table:
     return Table(list(_COLUMNS), [[cell(each) for cell in _COLUMNS.values()] for each in found])
 
 
-def write_margins(arm: Arm, found: Sequence[Margins], plants: Sequence[Plant], folder: Path) -> Path:
-    """Writes margins.html atomically: the table, and the plots of each controller where its delay margin is least."""
+def write_margins(arm: Arm, found: Sequence[Margins], plants: Sequence[Plant], path: Path) -> Path:
+    """Writes a page atomically: the table, and the plots of each controller where its delay margin is least."""
     by_name = {str(plant): plant for plant in (plants or (NOMINAL,))}
     elements = []
     for each in found:
@@ -45,7 +45,6 @@ def write_margins(arm: Arm, found: Sequence[Margins], plants: Sequence[Plant], f
     worst = f"The worst of {found[0].loops} loops for each controller."
     below = "Below, each controller at the configuration with its least delay margin."
     introduction = [html_page.paragraph(f"{worst} {below}"), html_page.table(margins_table(found))]
-    path = folder / "margins.html"
     write_text(path, html_page.page(f"Margins of controllers on {arm.name}", *introduction, *elements))
     return path
 

@@ -213,13 +213,16 @@ def _unknown(given: str, tool: bool) -> ArmctlError:
 
 
 def robots() -> dict[str, str]:
-    """All robots that `load` finds by name, and what armctl can do with them, in a line of text. Downloads nothing."""
+    """All robots that `load` finds by name, sorted, the bundled one first, and what armctl can do with them.
+
+    Downloads nothing.
+    """
     import mujoco_menagerie as menagerie
 
     short = {name: alias for alias, name in ALIASES.items()}
     ability = {r: BY_ROBOT.get(r.name, BY_CATEGORY.get(r.category, "see armctl chains")) for r in menagerie.robots()}
-    known = {BUNDLED: "bundled, the tutorial's: an arm: load"}
-    return known | {short.get(r.name, r.name): f"{r.display_name}: {text}" for r, text in ability.items()}
+    known = {short.get(r.name, r.name): f"{r.display_name}: {text}" for r, text in ability.items()}
+    return {BUNDLED: "bundled, the tutorial's: an arm: load"} | dict(sorted(known.items()))
 
 
 def datasheet_of(name: str) -> Row | None:

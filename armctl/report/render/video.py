@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.atomic import atomic_path, file_path
+from armctl.core.defaults import FILM_ENDINGS
 from armctl.core.errors import InputError, import_extra
 from armctl.core.log import Log
 from armctl.core.progress import progress_bar
@@ -24,7 +25,6 @@ from armctl.model.mjmodel.target_marker import find_target, set_target
 from armctl.report.render.camera import fitted_camera
 from armctl.report.render.renderer import QUALITIES, Image, Renderer, check_size
 
-ENDINGS = (".mp4", ".gif")
 _FRAMES_PER_SECOND = {".mp4": 30, ".gif": 25}  # a GIF counts hundredths of a second
 _LAST_FRAME_S = 1.0
 _SHORTEST_FILM_S = 3.0
@@ -141,7 +141,7 @@ def still(
 
 def film_path(path: str | os.PathLike[str], what: str = "path") -> Path:
     """The path of a film, checked before anything runs. Raises NotInstalledError if there is no encoder for it."""
-    path = file_path(what, path, ENDINGS)
+    path = file_path(what, path, FILM_ENDINGS)
     if path.suffix == ".mp4":
         import_extra("av", "an .mp4 needs an encoder (a .gif does not)", "view")
     return path
