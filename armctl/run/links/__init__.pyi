@@ -4,6 +4,7 @@ from .hand import Hand as Hand
 from .link import HandLink as HandLink
 from .link import HandReading as HandReading
 from .link import Link as Link
+from .link import MotionLink as MotionLink
 from .link import Reading as Reading
 from .link_check import LinkCheck as LinkCheck
 from .plant_link import PlantLink as PlantLink

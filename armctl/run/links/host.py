@@ -5,6 +5,8 @@ LinkHost: opens a link, plays motions on it and keeps its readings, in the plann
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import Lock
 from typing import NamedTuple
@@ -15,8 +17,8 @@ from armctl.core.errors import LinkError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.plan.motion.trajectory.path_stop import REST_SPEED, stopped
-from armctl.plan.motion.trajectory.piecewise import Pieces, sample, standing
-from armctl.run.links.link import HandReading, Link, Reading
+from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, sample, standing
+from armctl.run.links.link import HandReading, Link, MotionLink, Reading
 
 START_TOLERANCE = 1e-5  # rad, between the last command and the start of a motion; the wire may have single precision
 MAX_JOIN_GAP = 1e-6  # rad, between the end of one motion and the start of the next; single precision is 1e-7
@@ -66,6 +68,10 @@ class _TimedMotion:
     def sample_at(self, tick: int) -> Array:
         return self.samples[min(max(tick - self.at, 0), len(self.samples) - 1)]
 
+    @property
+    def end(self) -> int:
+        return self.at + len(self.samples) - 1
+
 
 class Player:
     """The samples of one stream. `play` and `stop` may be called by another thread than `next`."""
@@ -79,13 +85,19 @@ class Player:
         self._lock = Lock()
         self._motions = [_TimedMotion.from_pieces(0, standing(q), dt)]  # each until the next one begins
         self._stopped_from = _NEVER
+        self._send: Callable[[int, int, JointSamples], bool] | None = None  # `MotionLink.send_motion`
 
     @property
     def end(self) -> int:
         """The first tick at which it rests, if nothing changes."""
         with self._lock:
-            last = self._motions[-1]
-            return last.at + len(last.samples) - 1
+            return self._motions[-1].end
+
+    def send_to(self, link: MotionLink) -> bool:
+        """Sends the motions to a robot that takes them whole, and from now on each change; whether it came in time."""
+        with self._lock:
+            self._send = link.send_motion
+            return self._replace(self._motions, self._motions[-1].at)
 
     def next(self, ticks: int = 1) -> Array:
         with self._lock:
@@ -112,7 +124,8 @@ class Player:
             gap = float(np.abs(motion.samples[0] - before.sample_at(first)).max())
             if gap > MAX_JOIN_GAP:
                 return Played(first, f"the motion starts {gap:.2g} rad from where the last one is then")
-            self._motions.append(motion)
+            if not self._replace([*self._motions, motion], first):
+                return Played(first, "the motion came too late for the robot", late=1)
         return Played(first)
 
     def stop(self) -> None:
@@ -128,9 +141,35 @@ class Player:
                 braked = _TimedMotion.from_pieces(motion.at, stopped(motion.pieces, self._limits, t), self.dt)
             with self._lock:
                 if self.tick < tick and motion in self._motions:
-                    self._motions = [*self._motions[: self._motions.index(motion)], braked]
-                    self._stopped_from = tick
+                    motions = [*self._motions[: self._motions.index(motion)], braked]
+                    if self._replace(motions, tick):
+                        self._stopped_from = tick
             lead *= 2  # if planning the stop took too long
+
+    def _replace(self, motions: list[_TimedMotion], changed: int) -> bool:
+        """Takes motions that differ from the present ones from a tick on, unless a robot that must know gets them too late."""
+        if self._send is not None:
+            first = max(self.tick, 0)
+            rows = _rows(motions, first, self.dt)
+            rests = self._motions[-1].end <= changed and not np.ptp(rows.q, axis=0).any()  # and goes on resting
+            if not rests and not self._send(first, changed, rows):
+                return False
+        self._motions = motions
+        return True
+
+
+def _rows(motions: Sequence[_TimedMotion], first: int, dt: float) -> JointSamples:
+    """What motions are, one after another, from a tick on until they rest: one row each tick."""
+    parts = []
+    for k, motion in enumerate(motions):
+        begin = max(first, motion.at)
+        end = motions[k + 1].at if k + 1 < len(motions) else max(motion.end, begin) + 1
+        ticks = np.arange(begin, end, dtype=np.float64)
+        parts.append(sample(motion.pieces, dt * (ticks - motion.at)))
+    rows = JointSamples(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    rows.v[-1] = 0.0  # below REST_SPEED
+    rows.a[-1] = 0.0
+    return rows
 
 
 class LinkHost:
@@ -146,8 +185,9 @@ class LinkHost:
         self._fault = ""
         self._stopped = ""
         self._lost = 0
-        lead = 1 if link.passes_time else round(_LEAD_S / link.dt)
-        self._lead = max(lead, 1)
+        self._takes_motions = isinstance(link, MotionLink)
+        lead_s = link.lead if isinstance(link, MotionLink) else 0.0 if link.passes_time else _LEAD_S
+        self._lead = max(round(lead_s / link.dt), 1)
 
     def open(self) -> None:
         self.link.open()
@@ -199,6 +239,8 @@ class LinkHost:
         self._fault = ""
         self._kept = []
         self.link.start()
+        if isinstance(self.link, MotionLink) and not player.send_to(self.link):
+            raise LinkError(f"{self.link.name}: the motion came too late; end other programs")
         with self._lock:
             self._player = player
             self.streaming = True
@@ -208,7 +250,8 @@ class LinkHost:
         player = self._player
         if self.streaming and player is not None:
             self._stopped = self._stopped or reason
-            player.stop()
+            with contextlib.suppress(LinkError):  # what it holds ends at rest, too
+                player.stop()
 
     def advance(self) -> None:
         player = self._player
@@ -229,6 +272,9 @@ class LinkHost:
             with self._lock:
                 self._fault = str(error)
                 self.streaming = False
+            if self._takes_motions:  # the robot goes on with the motion that it has
+                with contextlib.suppress(LinkError):
+                    player.stop()
 
     def poll(self) -> Progress:
         """How far the stream is, and the readings since the last question."""

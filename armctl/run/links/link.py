@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from armctl.core.validation import Array, instance
+from armctl.plan.motion.trajectory.piecewise import JointSamples
 from armctl.run.links.envelope import Envelope
 
 
@@ -114,6 +115,32 @@ class Link(HandLink, Protocol):
 
     def close(self) -> None:
         """Disconnects."""
+        ...
+
+
+@runtime_checkable
+class MotionLink(Link, Protocol):
+    """A link to a robot that takes whole motions, such as a trajectory controller, and plays them by itself.
+
+    `send` is called at every tick, too: it says where the robot should be then.
+
+    Attributes:
+        lead: s, within which a message reaches the robot: a stop begins so much later.
+    """
+
+    lead: float
+
+    def send_motion(self, first: int, changed: int, rows: JointSamples) -> bool:
+        """Sends what the robot does from now on until it rests, in place of what was sent before.
+
+        Args:
+            first: The tick of the first row, which is that of the last `send`, or earlier than now.
+            changed: The tick from which on the rows differ from those that were sent before.
+            rows: Positions, velocities and accelerations, each (T, n), one row for each tick; the last one is at rest.
+
+        Returns:
+            Whether they were sent: not if the robot would get them after the tick at which they change.
+        """
         ...
 
 
