@@ -46,6 +46,11 @@ from .core.log import SimulationError as SimulationError
 from .core.pose import Pose as Pose
 from .core.result import GripResult as GripResult
 from .core.result import MoveResult as MoveResult
+from .core.shapes import Ball as Ball
+from .core.shapes import Box as Box
+from .core.shapes import Cylinder as Cylinder
+from .core.shapes import Mesh as Mesh
+from .core.shapes import Points as Points
 from .core.target import Target as Target
 from .core.tip_targets import STAY as STAY
 from .core.tip_targets import LookAt as LookAt

@@ -4,7 +4,14 @@ import numpy as np
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array
-from armctl.envs.tasks.tabletop import TABLETOP_GOALS, TABLETOP_START_SPREAD, TIP_HEIGHT, Cylinder, find_table, load_at_table
+from armctl.envs.tasks.tabletop import (
+    TABLETOP_GOALS,
+    TABLETOP_START_SPREAD,
+    TIP_HEIGHT,
+    LooseCylinder,
+    find_table,
+    load_at_table,
+)
 from armctl.envs.tasks.task import ArmSource, Episode, Task
 from armctl.envs.tasks.tool import find_grip, find_tool, jaw_center
 from armctl.plan.ik.problem import ik_chain
@@ -51,7 +58,9 @@ class PickPlace(Task):
         lift = TIP_HEIGHT + max(_LIFT * reach, 2.0 * self.height)
         margin = float(np.linalg.norm(self.grasp))
         places = find_table(alone, tool, low=TIP_HEIGHT, lift=lift, margin=margin, height=0.0, task=self.name)
-        self.arm, self.table = load_at_table(source, places, Cylinder(0.5 * width, self.height, mass, _FRICTION), self.name)
+        self.arm, self.table = load_at_table(
+            source, places, LooseCylinder(0.5 * width, self.height, mass, _FRICTION), self.name
+        )
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
         self.goals = np.array([[self._goal(rng)] for _ in range(TABLETOP_GOALS)])

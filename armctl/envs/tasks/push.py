@@ -3,7 +3,14 @@
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.envs.tasks.tabletop import TABLETOP_GOALS, TABLETOP_START_SPREAD, TIP_HEIGHT, Cylinder, find_table, load_at_table
+from armctl.envs.tasks.tabletop import (
+    TABLETOP_GOALS,
+    TABLETOP_START_SPREAD,
+    TIP_HEIGHT,
+    LooseCylinder,
+    find_table,
+    load_at_table,
+)
 from armctl.envs.tasks.task import ArmSource, Episode, Task
 from armctl.envs.tasks.tool import find_grip, find_tool
 from armctl.model.mjmodel.queries import placed
@@ -45,7 +52,9 @@ class PushTask(Task):
         self.height = min(_MAX_HEIGHT, _HEIGHT_SHARE * self.radius)  # m, of the object
         lift = TIP_HEIGHT + self.height + _CLEARANCE
         places = find_table(alone, tool, low=TIP_HEIGHT, lift=lift, margin=margin, height=self.height, task=self.name)
-        self.arm, self.table = load_at_table(source, places, Cylinder(self.radius, self.height, _MASS, _FRICTION), self.name)
+        self.arm, self.table = load_at_table(
+            source, places, LooseCylinder(self.radius, self.height, _MASS, _FRICTION), self.name
+        )
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
         self.goals = np.array([[self.table.place(rng, 0.5 * self.height)] for _ in range(TABLETOP_GOALS)])

@@ -69,7 +69,7 @@ class Tabletop(NamedTuple):
         return height * float(np.tan(self.tilt))
 
 
-class Cylinder(NamedTuple):
+class LooseCylinder(NamedTuple):
     """An upright cylinder."""
 
     radius: float  # m
@@ -81,7 +81,7 @@ class Cylinder(NamedTuple):
 class _SceneWithCylinder(Scene):
     """A scene with a table, and a cylinder called "object"."""
 
-    def __init__(self, table: Tabletop, cylinder: Cylinder):
+    def __init__(self, table: Tabletop, cylinder: LooseCylinder):
         super().__init__()
         edge = 2.0 * (table.radius + 3.0 * cylinder.radius)
         self.add_box("task_table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
@@ -132,7 +132,7 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
         )
 
 
-def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinder, name: str) -> tuple[Arm, Tabletop]:
+def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: LooseCylinder, name: str) -> tuple[Arm, Tabletop]:
     """The arm at the first place where it touches neither the table nor itself, with a cylinder on the table.
 
     InputError if there is none, or the robot was loaded already.

@@ -17,7 +17,7 @@ class TorqueRows(NamedTuple):
     high: Array  # greater than 0
 
 
-class Points(NamedTuple):
+class PathPoints(NamedTuple):
     """Both ends of each piece, where the speed is bounded."""
 
     interval: IntArray  # (P,) the interval
@@ -28,12 +28,12 @@ class Points(NamedTuple):
     curvature: Array  # (3,) in b''
 
 
-def points_of(h: float, interval: IntArray, begin: Array, end: Array) -> Points:
+def points_of(h: float, interval: IntArray, begin: Array, end: Array) -> PathPoints:
     """The points of pieces that lie in intervals (K,) of length h, from one share of their length to another, (K,) each."""
     x = np.column_stack([begin, end]).ravel()
     is_first = np.arange(len(x)) % 2 == 0
     is_first[-1] = True
-    return Points(
+    return PathPoints(
         interval=np.repeat(interval, 2).astype(np.int64),
         node=(np.arange(len(x)) + 1) // 2,
         is_first=is_first,
@@ -44,7 +44,7 @@ def points_of(h: float, interval: IntArray, begin: Array, end: Array) -> Points:
 
 
 def speed_bounds(
-    points: Points, rows: TorqueRows, derivatives: tuple[Array, Array, Array], b_max: Array, j_max: Array
+    points: PathPoints, rows: TorqueRows, derivatives: tuple[Array, Array, Array], b_max: Array, j_max: Array
 ) -> dict[str, Array | IntArray]:
     """The arguments of the compiled solver, for N nodes.
 
@@ -69,7 +69,7 @@ def _max_slope(rows: TorqueRows, b_max: Array) -> Array:
         return np.fmin.reduce(np.where(side > 0, rest / side, np.inf), axis=1)
 
 
-def _force_bounds(points: Points, rows: TorqueRows, b_max: Array, max_slope: Array) -> dict[str, Array | IntArray]:
+def _force_bounds(points: PathPoints, rows: TorqueRows, b_max: Array, max_slope: Array) -> dict[str, Array | IntArray]:
     """The rows that can become active."""
     side = 0.5 * rows.alpha
     others = np.abs(rows.beta) * b_max[:, None] + np.abs(rows.delta) * np.sqrt(b_max)[:, None]
@@ -88,7 +88,7 @@ def _force_bounds(points: Points, rows: TorqueRows, b_max: Array, max_slope: Arr
 
 
 def _jerk_bounds(
-    points: Points, derivatives: tuple[Array, Array, Array], b_max: Array, max_slope: Array, j_max: Array
+    points: PathPoints, derivatives: tuple[Array, Array, Array], b_max: Array, max_slope: Array, j_max: Array
 ) -> dict[str, Array | IntArray]:
     """The joints whose jerk can become active; of the third derivatives (P, n) each point has its own."""
     q1 = derivatives[0][points.node]
