@@ -5,6 +5,7 @@ import re
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
+from typing import NamedTuple
 
 from sphinx.util import logging
 
@@ -40,31 +41,39 @@ html_css_files = ["pages.css"]
 html_extra_path = ["../llms.txt"]  # for coding assistants: tasks, and the call for each
 html_show_copyright = False
 
+
+class Chapter(NamedTuple):
+    """A page of the reference."""
+
+    title: str
+    question: str  # that its names answer
+
+
 # One chapter per package that has public names, in the order of the rooms.
 CHAPTERS = {
-    "core": "Values: poses, limits, setpoints, logs, errors",
-    "model.mjmodel": "MuJoCo models",
-    "model.arm": "The arm",
-    "model.collision": "Collisions and clearance",
-    "model.loading": "Loading robots",
-    "control": "Control",
-    "plan.ik": "Inverse kinematics",
-    "plan.motion": "Motion",
-    "plan.planner": "Collision-free motion",
-    "plan.stream": "Streams of targets",
-    "run.execution": "Commands",
-    "run.sim": "Simulation",
-    "run.links": "Robots",
-    "run": "Robots of other libraries",
-    "report.render": "Pictures and videos",
-    "report": "Reports and plots",
-    "lab.loops": "Margins and tuning",
-    "lab.identification": "Identification",
-    "lab.study": "Studies",
-    "lab": "Comparisons and checks",
-    "view": "The viewer",
-    "envs": "Reinforcement learning",
-    "envs.jax": "Pure functions for JAX",
+    "core": Chapter("Values: poses, limits, setpoints, logs, errors", "In which values do I think?"),
+    "model.mjmodel": Chapter("MuJoCo models", "How do I write a robot in MJCF?"),
+    "model.arm": Chapter("The arm", "Where is the arm, and what does it weigh?"),
+    "model.collision": Chapter("Collisions and clearance", "What touches, and how near does it come?"),
+    "model.loading": Chapter("Loading robots", "How do I get a robot?"),
+    "control": Chapter("Control", "Which torque follows the motion?"),
+    "plan.ik": Chapter("Inverse kinematics", "Which joint positions reach a pose?"),
+    "plan.motion": Chapter("Motion", "How do I get there within all limits?"),
+    "plan.planner": Chapter("Collision-free motion", "How do I get there without a contact?"),
+    "plan.stream": Chapter("Streams of targets", "How do I follow targets that keep coming?"),
+    "run.execution": Chapter("Commands", "How do I command an arm?"),
+    "run.sim": Chapter("Simulation", "How do I try it without a robot?"),
+    "run.links": Chapter("Robots", "How do I command a real arm?"),
+    "run": Chapter("Robots of other libraries", "How does another library use armctl?"),
+    "report.render": Chapter("Pictures and videos", "How do I show it?"),
+    "report": Chapter("Reports and plots", "How well did it follow?"),
+    "lab.loops": Chapter("Margins and tuning", "How robust is the loop, and which gains are right?"),
+    "lab.identification": Chapter("Identification", "Which masses, friction and delays has the arm?"),
+    "lab.study": Chapter("Studies", "What happens over many payloads, delays and controllers?"),
+    "lab": Chapter("Comparisons and checks", "Which controller is better, and what is wrong?"),
+    "view": Chapter("The viewer", "How do I see and drag it?"),
+    "envs": Chapter("Reinforcement learning", "How do I train a policy?"),
+    "envs.jax": Chapter("Pure functions for JAX", "How do I differentiate and batch it?"),
 }
 MODULES = {"links": armctl.links, "envs": armctl.envs, "jax": armctl.jax}  # with public names of their own
 
@@ -95,15 +104,15 @@ def reference() -> dict[str, str]:
     index = [
         "# Reference",
         "",
-        "Every public name; each is `armctl.NAME`. The search finds classes and their methods.",
+        "Every public name, by the question that it answers; each is `armctl.NAME`.",
         "",
         *toctree,
     ]
     pages: dict[str, str] = {}
     for package in chapters:
-        title = CHAPTERS[package]
-        links = ", ".join(f"{{py:obj}}`~armctl.{name}`" for name in names[package])
-        index += [f"## [{title}](reference/{package}.md)", "", links, ""]
+        title, question = CHAPTERS[package]
+        lines_of_names = [f"- {{py:obj}}`{name} <armctl.{name}>`: {summary(name)}" for name in names[package]]
+        index += [f"## {question}", "", f"[{title}](reference/{package}.md)", "", *lines_of_names, ""]
         introduction = (import_module(f"armctl.{package}").__doc__ or "").split("\n")[0]
         lines = [f"# {title}", "", introduction, ""]
         for name in names[package]:
@@ -111,6 +120,13 @@ def reference() -> dict[str, str]:
         pages[f"reference/{package}.md"] = "\n".join(lines)
     pages["reference.md"] = "\n".join(index)
     return pages
+
+
+def summary(name: str) -> str:
+    """The first sentence of a name's docstring; of an instance, that of its class."""
+    text = inspect.getdoc(attrgetter(name)(armctl)) or ""
+    first = " ".join(text.split("\n\n")[0].split())
+    return re.split(r"(?<=[.]) (?=[A-Z])", first)[0]
 
 
 def directive(name: str) -> list[str]:
