@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import LimitError, PlanError
+from armctl.core.limits import Limits
 from armctl.core.other_names import with_hints
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, vector
@@ -70,7 +71,8 @@ class OnlineMotion:
         start = start_state(arm, q_start)
         self._t = 0.0
         self._start = JointState(start.q.tolist(), start.v.tolist(), start.a.tolist())
-        self._goal: Array | None = None
+        self._goal: Setpoint | None = None
+        self._velocity: Array | None = None  # of velocity control
         profile = self._solver.stop(self._start)
         if profile is None or not profile.stays_inside(self._q_min_loose, self._q_max_loose):
             raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
@@ -80,7 +82,7 @@ class OnlineMotion:
     @property
     def goal(self) -> Array | None:
         """(n,) rad, the position of the goal; None while it only stops."""
-        return self._goal
+        return None if self._goal is None else self._goal.q
 
     def go_to(self, q: ArrayLike | Setpoint) -> None:
         """Sets a new goal, which is reached at rest or, if it is a setpoint, with its velocity and acceleration.
@@ -103,7 +105,7 @@ class OnlineMotion:
         start = self._state(self._t)
         profile = self._solver.to_rest(start, goal.tolist(), self._q_min_loose, self._q_max_loose)
         self._start = start
-        self._take(profile, goal, None)
+        self._take(profile, _resting_at(goal), None)
 
     def _go_to_moving(self, goal: Setpoint) -> None:
         """Sets a goal in motion."""
@@ -114,16 +116,19 @@ class OnlineMotion:
         start = self._state(self._t)
         profile = self._solver.to_moving(start, wanted, self._q_min_loose, self._q_max_loose)
         self._start = start
-        self._take(profile, goal.q, stop)
+        self._take(profile, goal, stop)
 
-    def _take(self, profile: Profile | None, goal: Array, afterwards: Profile | None) -> None:
+    def _take(self, profile: Profile | None, goal: Setpoint, afterwards: Profile | None) -> None:
         """Replaces the profile by one from `_start` to a goal, and what follows; without one it stops, and raises PlanError."""
         if profile is not None:
             self._profile = profile
             self._afterwards = afterwards
             self._t = 0.0
             self._goal = goal
+            self._velocity = None
             return
+        self._goal = None
+        self._velocity = None
         self._brake()
         raise PlanError(
             "go_to: no motion inside the limits leads to the goal from this state; the arm stops, call go_to again at rest"
@@ -156,6 +161,7 @@ class OnlineMotion:
         reached = self._solver.to_velocity(start, wanted.tolist())
         self._start = start
         self._goal = None
+        self._velocity = wanted
         if reached is not None and self._is_inside(reached):
             # Without rounding, which would let ruckig brake for a velocity above what it is asked for.
             cruising = self._cruise(JointState(reached.at(reached.duration)[0], wanted.tolist(), [0.0] * len(wanted)), wanted)
@@ -190,10 +196,36 @@ class OnlineMotion:
     def _is_inside(self, profile: Profile) -> bool:
         return profile.stays_inside(self._q_min_loose, self._q_max_loose)
 
+    def with_limits(self, limits: Limits) -> OnlineMotion:
+        """The motion that goes on from here within other limits, to the same goal or at the same velocity as far as they allow.
+
+        Where they are lower than the present velocity or acceleration, the arm first brakes into them, as fast as the other
+        limits allow, such as when a person comes near:
+
+        ```python
+        motion = motion.with_limits(arm.limits.at_speed(0.2))
+        ```
+
+        Args:
+            limits: Of the n joints.
+
+        Raises:
+            InputError: It is no Limits, of another number of joints, or without a limit of velocity, acceleration or jerk.
+            LimitError: The arm or its goal is outside the new range, or the arm cannot stop inside it.
+            PlanError: No motion inside the new limits leads to the goal from this state.
+        """
+        motion = OnlineMotion(self._arm.with_limits(limits), self.setpoint)
+        if self._velocity is not None:
+            motion.go_at(np.clip(self._velocity, -limits.v_max, limits.v_max))
+        elif self._goal is not None and self.time_to_goal > 0.0:
+            motion.go_to(self._goal if self._goal.v.any() or self._goal.a.any() else self._goal.q)
+        return motion
+
     def stop(self) -> None:
         """Stops as soon as the limits allow."""
         self._start = self._state(self._t)
         self._goal = None
+        self._velocity = None
         self._brake()
 
     def step(self, dt: float) -> Setpoint:
@@ -252,3 +284,8 @@ class OnlineMotion:
         if self._afterwards is not None and t > self._profile.duration:
             return JointState(*self._afterwards.at(min(t - self._profile.duration, self._afterwards.duration)))
         return JointState(*self._profile.at(min(t, self._profile.duration)))
+
+
+def _resting_at(q: Array) -> Setpoint:
+    zero = np.zeros(len(q))
+    return Setpoint(q, zero, zero)

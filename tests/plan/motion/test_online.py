@@ -209,3 +209,70 @@ def test_a_motion_brakes_into_limits_that_are_lowered_on_the_way():
     late = speeds[int(1.5 * braked / DT) + 1 :]
     assert (late <= lower.v_max * (1 + 1e-6)).all()
     assert np.allclose(samples[-1][1], lower.v_max, atol=1e-7)
+
+
+def braking_time(v: float, v_max: float, a_max: float, j_max: float) -> float:
+    """s, the shortest time from a steady velocity down to a lower one, where the arm may still decelerate."""
+    ramp = a_max / j_max
+    rest = v - v_max - 0.5 * j_max * ramp**2
+    return ramp + rest / a_max if rest > 0.0 else np.sqrt(2.0 * (v - v_max) / j_max)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.1])
+def test_lowered_limits_are_kept_after_the_shortest_braking_and_the_goal_is_still_reached(share):
+    arm = arm_of("redundant")
+    v = np.zeros(arm.n)
+    v[0] = arm.limits.v_max[0]
+    motion = armctl.OnlineMotion(arm, armctl.Setpoint(0.5 * (arm.limits.q_min + arm.limits.q_max), v, np.zeros(arm.n)))
+    goal = np.array(motion.setpoint.q)
+    goal[0] = arm.limits.q_max[0]
+    motion.go_to(goal)
+    assert motion.step(DT).v[0] > 0.99 * arm.limits.v_max[0]
+    lower = replace(arm.limits, v_max=share * arm.limits.v_max)
+    start = motion.setpoint
+    slow = motion.with_limits(lower)
+    assert slow.setpoint.q[0] == start.q[0]
+    assert slow.setpoint.v[0] == start.v[0]
+    fastest = braking_time(start.v[0], lower.v_max[0], lower.a_max[0], lower.j_max[0])
+    begin = run(slow, int(0.95 * fastest / DT))
+    assert begin[-1][1][0] > lower.v_max[0]
+    rest = run(slow, int(slow.time_left / DT) + 2)
+    settled = rest[int(0.1 * fastest / DT) + 3 :]
+    assert_inside(arm.with_limits(lower), settled)
+    assert_inside(arm, [*begin, *rest])
+    assert np.allclose(slow.setpoint.q, goal, atol=1e-9)
+    assert motion.setpoint.q[0] == start.q[0]  # the motion before is unchanged
+
+
+def test_with_limits_keeps_a_velocity_as_far_as_it_is_allowed_and_a_goal_in_motion():
+    arm = arm_of("redundant")
+    low = arm.with_limits(replace(arm.limits, v_max=0.3 * arm.limits.v_max)).limits
+    motion = armctl.OnlineMotion(arm, 0.5 * (arm.limits.q_min + arm.limits.q_max))
+    motion.go_at(0.5 * arm.limits.v_max)
+    motion.step(0.2)
+    slow = motion.with_limits(low)
+    assert np.allclose(slow.step(0.3).v, low.v_max, atol=1e-7)
+    standing = armctl.OnlineMotion(arm, arm.home).with_limits(low)
+    assert standing.goal is None
+    assert standing.time_left == 0.0
+    wanted = armctl.Setpoint(arm.home + 0.2, 0.1 * low.v_max, np.zeros(arm.n))
+    motion = armctl.OnlineMotion(arm, arm.home)
+    motion.go_to(wanted)
+    slow = motion.with_limits(low)
+    passing = slow.step(slow.time_to_goal)
+    assert np.allclose(passing.q, wanted.q, atol=1e-8)
+    assert np.allclose(passing.v, wanted.v, atol=1e-7)
+
+
+def test_limits_that_the_arm_cannot_keep_are_refused_and_change_nothing():
+    arm = arm_of("redundant")
+    motion = armctl.OnlineMotion(arm, arm.home)
+    motion.go_to(arm.home + 0.2)
+    motion.step(0.05)
+    narrow = replace(arm.limits, q_max=np.maximum(arm.home + 0.1, arm.limits.q_min))
+    with pytest.raises(armctl.LimitError):
+        motion.with_limits(narrow)
+    with pytest.raises(armctl.InputError, match="limits: expected"):
+        motion.with_limits(arm_of("robot_arm_3dof").limits)
+    run(motion, int(motion.time_left / DT) + 2)
+    assert np.allclose(motion.setpoint.q, arm.home + 0.2, atol=1e-9)
