@@ -386,16 +386,18 @@ class Arm(ArmEquations):
         center: ArrayLike = (0.0, 0.0, 0.0),
         inertia: ArrayLike = (0.0, 0.0, 0.0),
         *,
+        tip: str | None = None,
         coulomb_friction: ArrayLike = 0.0,
         viscous_friction: ArrayLike = 0.0,
     ) -> Arm:
-        """The same arm with a known payload at the tip: the model that a controller should use.
+        """The same arm with a known payload at a tip: the model that a controller should use.
 
         Args:
             mass: kg, of a payload that is rigidly attached to the tip.
             center: (3,) m, its center of mass, in the tip's frame.
             inertia: kg m^2 about its center of mass, in the tip's axes: a (3, 3) matrix, or (3,) moments along the axes. Left
                 out, the payload is a point mass.
+            tip: The one of `tips` that carries it; the first one if left out.
             coulomb_friction: N m of dry friction added to the model's, on each joint or (n,) for each.
             viscous_friction: N m s/rad of damping added to the model's, on each joint or (n,) for each.
 
@@ -405,7 +407,9 @@ class Arm(ArmEquations):
         Raises:
             InputError: The mass or the friction of a joint becomes negative, a number is not finite, a list has a wrong length,
                 or no body has the inertia, or has it without a mass.
+            UnknownNameError: The arm has no such tip.
         """
+        frame = self.tip_frames[0 if tip is None else self._tip_number(tip)]
         model = copy.copy(self.model)
         for what, value, column in (
             ("coulomb_friction", coulomb_friction, model.dof_frictionloss),
@@ -422,7 +426,7 @@ class Arm(ArmEquations):
         mass = number("mass", mass, 0.0)
         tensor = inertia_tensor("inertia", inertia)
         if mass > 0.0:
-            add_payload(model, self.tip_body, self.T_body_tip, mass, vector("center", center, 3), tensor)
+            add_payload(model, frame.body, frame.T_body_tip, mass, vector("center", center, 3), tensor)
         elif tensor.any():
             raise InputError("inertia: given for a payload without mass; give the mass in kg as well")
         mujoco.mj_setConst(model, mujoco.MjData(model))

@@ -72,7 +72,7 @@ def make_arm_model(
     if links_without_contact_rules:
         notes += _exclude_touching(spec, original, plan.joints, links_without_contact_rules)
     add_target(spec)
-    add_payload_bodies(spec, original, {plan.tip.body: bodies[plan.tip.body]})
+    add_payload_bodies(spec, original, {tip.body: bodies[tip.body] for tip in (plan.tip, *plan.further_tips)})
     if edit is not None:
         edit(spec)
     model = source.compile(spec)

@@ -129,3 +129,22 @@ def test_the_inertia_of_a_load_is_given_as_everywhere(inertia, monkeypatch):
 def test_a_load_that_no_body_has_is_refused():
     with pytest.raises(armctl.InputError, match="payload_inertia"):
         armctl.links.Franka("127.0.0.1", payload=1.0, payload_inertia=[0.1, 0.1, 0.9])
+
+
+@pytest.mark.parametrize("lifted", [0.0, 1.0])
+def test_a_payload_at_a_further_tip_loads_the_joints_to_that_tip(lifted):
+    left = limb("a b").replace('name="B"', f'name="B" gravcomp="{lifted}"')
+    right = limb("c d").replace('name="D"', f'name="D" gravcomp="{lifted}"')
+    spec = mujoco.MjSpec.from_string(mjcf(left + right, FAST + motors("a b c d")))
+    arm = armctl.load(spec, tips=["B", "D"])
+    q = np.array([0.3, -0.7, 0.9, 0.4])
+    for tip in arm.tips:
+        loaded = arm.with_payload(MASS, tip=tip)
+        linear = arm.jacobian(q, tip)[:3]
+        weight = MASS * -arm.model.opt.gravity
+        assert loaded.gravity(q) - arm.gravity(q) == pytest.approx(linear.T @ weight, abs=1e-9)
+        added = loaded.mass_matrix(q) - arm.mass_matrix(q)
+        assert added == pytest.approx(MASS * linear.T @ linear, abs=1e-9)
+    assert np.array_equal(arm.with_payload(MASS).gravity(q), arm.with_payload(MASS, tip=arm.tip).gravity(q))
+    with pytest.raises(armctl.UnknownNameError, match="tip"):
+        arm.with_payload(MASS, tip="hand")
