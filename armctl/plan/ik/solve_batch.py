@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, cast
@@ -16,10 +16,11 @@ from armctl._core import Constraint
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose, computed_pose, read_transforms
 from armctl.core.progress import progress_bar
+from armctl.core.tip_targets import TipTargets
 from armctl.core.validation import Array, IntArray, array, as_array, frozen, integer, matrix
 from armctl.model.arm.arm import Arm
 from armctl.plan.ik import lm
-from armctl.plan.ik.ik_result import BATCH_ARRAYS, IkBatch, batch_of, failure_reason
+from armctl.plan.ik.ik_result import BATCH_ARRAYS, IkBatch, IkResult, batch_of, failure_reason
 from armctl.plan.ik.problem import IkProblem, constraint_of, open_chain, read_problem, read_starts
 from armctl.plan.ik.solve import solve_ik
 
@@ -29,7 +30,7 @@ MIN_CHUNK = 128
 
 def solve_ik_batch(
     arm: Arm,
-    targets: Sequence[Pose] | ArrayLike,
+    targets: Sequence[Pose] | Sequence[TipTargets] | ArrayLike,
     q0: ArrayLike | None = None,
     threads: int | None = None,
     *,
@@ -43,7 +44,8 @@ def solve_ik_batch(
     If stderr is a terminal, a progress bar appears after two seconds.
 
     Args:
-        targets: N Poses, (N, 4, 4) homogeneous transforms as for `Pose.from_matrix`, or (N, 3) m for positions only.
+        targets: N Poses, (N, 4, 4) homogeneous transforms as for `Pose.from_matrix`, or (N, 3) m for positions only; or N
+            dicts of targets by tip, as for `solve_ik`.
         q0: (n,) or (N, n) rad (m for a slide joint), where the search starts. By default the arm's home.
         threads: How many threads to use; by default one per core.
         position_tolerance: m.
@@ -54,21 +56,22 @@ def solve_ik_batch(
         InputError: An argument has a wrong shape, type or value.
         LimitError: q0 is outside the joint limits.
     """
-    constraint, numbers = _read_targets(targets, free_axis)
     threads = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
+    solve = partial(
+        solve_ik,
+        arm,
+        position_tolerance=position_tolerance,
+        orientation_tolerance=orientation_tolerance,
+        free_axis=free_axis,
+        seed=seed,
+    )
+    if isinstance(targets, Sequence) and any(isinstance(target, Mapping) for target in targets):
+        return _solve_each(arm, solve, targets, q0, threads)
+    constraint, numbers = _read_targets(targets, free_axis)
     if open_chain(arm) is None:
-        solve = partial(
-            solve_ik,
-            arm,
-            position_tolerance=position_tolerance,
-            orientation_tolerance=orientation_tolerance,
-            free_axis=free_axis,
-            seed=seed,
-        )
         is_position = constraint == Constraint.POSITION
-        targets = [row[9:] if is_position else computed_pose(row[9:], row[:9].reshape(3, 3)) for row in numbers]
-        starts = read_starts(arm, q0, len(numbers)) if q0 is not None else [None] * len(numbers)
-        return batch_of(map(solve, targets, starts), arm.n)
+        poses = [row[9:] if is_position else computed_pose(row[9:], row[:9].reshape(3, 3)) for row in numbers]
+        return _solve_each(arm, solve, poses, q0, threads)
     problem = read_problem(arm, constraint, numbers, q0, position_tolerance, orientation_tolerance, seed)
     count = len(numbers)
     parts: list[IkBatch] = []
@@ -81,6 +84,22 @@ def solve_ik_batch(
             pool.shutdown(cancel_futures=True)
     arrays: dict[str, Any] = {name: frozen(np.concatenate([getattr(part, name) for part in parts])) for name in BATCH_ARRAYS}
     return IkBatch(**arrays, branch=tuple(itertools.chain.from_iterable(part.branch for part in parts)))
+
+
+def _solve_each(
+    arm: Arm, solve: Callable[..., IkResult], targets: Sequence[Any], q0: ArrayLike | None, threads: int
+) -> IkBatch:
+    """The answers of `solve_ik` to single targets."""
+    starts = [None] * len(targets) if q0 is None else read_starts(arm, q0, len(targets))
+    with progress_bar("IK", len(targets), "targets") as progress, ThreadPoolExecutor(threads) as pool:
+        results = []
+        try:
+            for result in pool.map(solve, targets, starts):
+                results.append(result)
+                progress.update()
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return batch_of(results, arm.n)
 
 
 def _chunks(count: int, threads: int) -> list[IntArray]:

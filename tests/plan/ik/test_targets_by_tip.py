@@ -102,6 +102,22 @@ def test_the_same_call_gives_the_same_bits_and_is_near_its_start(arm):
     assert np.abs(one.q - start).max() < 0.3
 
 
+def test_a_batch_of_targets_by_tip_gives_the_answers_of_single_calls(torso):
+    left, right = torso.tips[:2]
+    targets = [{left: torso.fk(q, left), right: torso.fk(q, right).position} for q in configurations(torso, 6)]
+    batch = armctl.solve_ik_batch(torso, targets, threads=2)
+    assert batch
+    for target, found in zip(targets, batch, strict=True):
+        assert np.array_equal(found.q, armctl.solve_ik(torso, target).q)
+    starts = np.array(configurations(torso, 6, seed=1))
+    for target, start, found in zip(targets, starts, armctl.solve_ik_batch(torso, targets, starts), strict=True):
+        assert np.array_equal(found.q, armctl.solve_ik(torso, target, start).q)
+    with pytest.raises(armctl.ArmctlError, match="elbow"):
+        armctl.solve_ik_batch(torso, [*targets, {"elbow": [0.0, 0.0, 1.0]}])
+    with pytest.raises(armctl.InputError):
+        armctl.solve_ik_batch(torso, [targets[0], [0.1, 0.2, 0.3]])
+
+
 def test_a_tip_without_target_is_free_and_an_arm_with_one_tip_takes_targets_by_tip_too(torso):
     target = torso.fk(configurations(torso, 1)[0], "right")
     found = armctl.solve_ik(torso, {"right": target})
