@@ -14,7 +14,7 @@ from printed_outputs import own_words
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 
-TABLE = re.compile(r"(<!-- armctl (compare .*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+TABLE = re.compile(r"(<!-- armctl (compare [^|>]*?)(?: [|] ([^>]*?))? -->\n).*?(<!-- end -->)", re.DOTALL)
 REACHED = re.compile(r"reached within .*")
 
 
@@ -50,11 +50,18 @@ def printed_with_franky_sim(example: Path, address: str = "127.0.0.5") -> str:
 
 
 def compared(table: re.Match[str]) -> str:
-    """A table of a comparison, in Markdown, of the command above it; the command prints it for terminals of 80 columns."""
+    """A table of a comparison, in Markdown, of the command above it, with the columns that follow the command.
+
+    The command itself prints the table for terminals.
+    """
+    heading, command, columns, end = table.groups()
     with tempfile.TemporaryDirectory() as folder:
-        printed("-m", "armctl", *table[2].split(), "--report", folder)
+        printed("-m", "armctl", *command.split(), "--out", folder)
         page = (Path(folder) / "comparison.md").read_text(encoding="utf-8")
-    return f"{table[1]}\n{''.join(line for line in page.splitlines(keepends=True) if line.startswith('|'))}\n{table[3]}"
+    rows = [[cell.strip() for cell in line.strip("|\n").split("|")] for line in page.splitlines() if line.startswith("|")]
+    names = rows[0] if columns is None else columns.split(", ")
+    shown = [f"| {' | '.join(row[rows[0].index(name)] for name in names)} |" for row in rows]
+    return "\n".join([f"{heading}", *shown, "", end])
 
 
 if __name__ == "__main__":
