@@ -59,7 +59,7 @@ def compared(table: re.Match[str]) -> str:
         printed("-m", "armctl", *command.split(), "--out", folder)
         page = (Path(folder) / "comparison.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.strip("|\n").split("|")] for line in page.splitlines() if line.startswith("|")]
-    names = rows[0] if columns is None else columns.split(", ")
+    names = rows[0] if columns is None else columns.split("; ")
     shown = [f"| {' | '.join(row[rows[0].index(name)] for name in names)} |" for row in rows]
     return "\n".join([f"{heading}", *shown, "", end])
 

@@ -67,7 +67,7 @@ def solve_ik_batch(
     )
     if isinstance(targets, Sequence) and any(isinstance(target, Mapping) for target in targets):
         return _solve_each(arm, solve, targets, q0, threads)
-    constraint, numbers = _read_targets(targets, free_axis)
+    constraint, numbers = _read_targets(cast("Sequence[Pose] | ArrayLike", targets), free_axis)
     if open_chain(arm) is None:
         is_position = constraint == Constraint.POSITION
         poses = [row[9:] if is_position else computed_pose(row[9:], row[:9].reshape(3, 3)) for row in numbers]
