@@ -51,6 +51,7 @@ from .core.shapes import Box as Box
 from .core.shapes import Cylinder as Cylinder
 from .core.shapes import Mesh as Mesh
 from .core.shapes import Points as Points
+from .core.target import RegionMember as RegionMember
 from .core.target import Target as Target
 from .core.tip_targets import STAY as STAY
 from .core.tip_targets import LookAt as LookAt
@@ -123,6 +124,8 @@ from .plan.ik.ik_result import IkBatch as IkBatch
 from .plan.ik.ik_result import IkResult as IkResult
 from .plan.ik.reachability import Reachability as Reachability
 from .plan.ik.reachability import reachability as reachability
+from .plan.ik.region import Region as Region
+from .plan.ik.region import RegionPart as RegionPart
 from .plan.ik.solve import solve_ik as solve_ik
 from .plan.ik.solve_batch import solve_ik_batch as solve_ik_batch
 from .plan.motion.input_shaping import shape_motion as shape_motion

@@ -584,6 +584,36 @@ class Chain:
         Moves each q (N, n) to a minimum of the squared error plus `pull` times its squared distance from q0.
         """
 
+    def search_regions(
+        self,
+        regions: numpy.ndarray,
+        numbers: numpy.ndarray,
+        position_tolerance: float,
+        orientation_tolerance: float,
+        q0: numpy.ndarray,
+        q: numpy.ndarray,
+        solved: numpy.ndarray,
+        steps: numpy.ndarray,
+    ) -> None:
+        """
+        Descends from each q (K, n) into the region (R, 38) of its number (K,), and winds it to q0 (n,). Fills solved and steps (K,).
+        """
+
+    def slide_in_regions(
+        self,
+        regions: numpy.ndarray,
+        numbers: numpy.ndarray,
+        position_tolerance: float,
+        orientation_tolerance: float,
+        q0: numpy.ndarray,
+        q: numpy.ndarray,
+        solved: numpy.ndarray,
+        steps: numpy.ndarray,
+    ) -> None:
+        """
+        As search_regions, but slides each q towards q0 within its region first.
+        """
+
     def random_starts(self, q0: numpy.ndarray, first: int, seed: int, q: numpy.ndarray) -> None:
         """
         Fills q (B, n) with random configurations of numbers from `first` on: odd ones inside the bounds, others in one turn.
@@ -668,6 +698,13 @@ class ClosedForm:
         """
         Fills q (N, n) with a configuration for each of the targets (N, 12) that has any.
         """
+
+REGION_NUMBERS: int = 38
+
+def nearest_members(region: numpy.ndarray, tips: numpy.ndarray, members: numpy.ndarray) -> None:
+    """
+    Fills members (K, 12) with the poses of a region (38,) that are nearest to the tips (K, 12).
+    """
 
 def residuals(
     constraint: Constraint,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from armctl.core.errors import few_names, pairs_in_words
 from armctl.core.log import Contact, Log
+from armctl.core.target import RegionMember
 
 _NOTED_M = 1e-3  # a result names a clearance that is less
 
@@ -45,6 +46,7 @@ class MoveResult(Verdict):
             motion was proved.
         left_out: Pairs of names of bodies that touch by design, and that the proof of the motion left out though a simulation
             keeps their contact. `load` takes such contacts out of the model where it can.
+        member: Of a region as the target, the pose that the motion goes to; None for another target, or without a motion.
     """
 
     ok: bool
@@ -56,6 +58,7 @@ class MoveResult(Verdict):
     unchecked_links: tuple[str, ...] = ()
     clearance: float = math.nan
     left_out: tuple[tuple[str, str], ...] = ()
+    member: RegionMember | None = None
 
     def __str__(self) -> str:
         if not self.ok:
@@ -66,6 +69,8 @@ class MoveResult(Verdict):
             reached += f"; contacts not checkable, no collision shape for {few_names(self.unchecked_links)}"
         if self.clearance < _NOTED_M:
             reached += f"; proved to keep only {1e3 * self.clearance:.2g} mm"
+        if self.member is not None:
+            reached += f", {self.member}"
         reached += left_out_text(self.left_out)
         return f"{reached}; touched {touched}" if touched else reached
 

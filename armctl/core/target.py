@@ -94,4 +94,23 @@ class Target:
         return position_error <= self.tolerance and orientation_error <= self.angle_tolerance
 
 
+@dataclass(frozen=True, eq=False)
+class RegionMember:
+    """The pose of a region that a solver or a motion has chosen.
+
+    Attributes:
+        index: The number of the part of the region that it is in.
+        pose: T_world_tip.
+        name: What the part is called; empty if it has no name.
+    """
+
+    index: int
+    pose: Pose
+    name: str = ""
+
+    def __str__(self) -> str:
+        part = f"{self.name!r}" if self.name else f"part {self.index}"
+        return f"{part} at {self.pose}"
+
+
 TargetLike: TypeAlias = Target | Pose | ArrayLike

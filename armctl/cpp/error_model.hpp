@@ -1,7 +1,7 @@
 // The squared error of a tip around one configuration, and the steps that decrease it.
 #pragma once
-#include "chain_kinematics.hpp"
 #include "linear_algebra.hpp"
+#include "region.hpp"
 
 namespace armctl {
 
@@ -67,6 +67,23 @@ public:
         }
         set_normal();
         return error;
+    }
+
+    // As for a goal: the error towards the nearest member of a region in reaches. What costs nothing leaves the Jacobian.
+    PoseError linearize(const Region& region, Vector q, double rotation_weight = ROTATION_WEIGHT) {
+        kinematics_.place(q);
+        kinematics_.find_jacobian();
+        const RegionError error = region_error(region, kinematics_.tip());
+        error_ = {error.position, rotation_weight * error.rotation};
+        std::vector<Twist>& J = kinematics_.jacobian();
+        for (size_t i = 0; i < n_; ++i) {
+            const Vec3 moved = region.frame.rotation.inverse_times(J[i].linear + cross(J[i].angular, error.lever));
+            J[i].linear = {error.is_bounded[0] ? moved.x : 0.0, error.is_bounded[1] ? moved.y : 0.0, error.is_bounded[2] ? moved.z : 0.0};
+            J[i].angular = rotation_weight * error.held(J[i].angular);
+            states_[i].gradient = dot(J[i], error_);
+        }
+        set_normal();
+        return error.size();
     }
 
     // Adds the chain's own curvature to J^T J: minus error . d^2 tip / dq_i dq_j, which is z_i x dp/dq_j for i <= j.

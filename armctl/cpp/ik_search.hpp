@@ -61,6 +61,12 @@ struct SearchOutcome {
     std::int64_t steps;
 };
 
+// When a refinement ends.
+struct Refinement {
+    int max_steps = MAX_REFINE_STEPS;
+    double min_move = REFINE_MIN_MOVE;
+};
+
 struct Descent {
     bool solved;
     double squared_error;        // of the best configuration met
@@ -132,8 +138,9 @@ public:
         return outcome;
     }
 
-    // One descent from q within bounds; q becomes the best configuration met.
-    Descent descend(BoundsOf bounds_of, const Goal& goal, const Tolerances& tolerances, Result q) {
+    // One descent from q within bounds to a goal, or into a region in reaches; q becomes the best configuration met.
+    template <class Aim>
+    Descent descend(BoundsOf bounds_of, const Aim& goal, const Tolerances& tolerances, Result q) {
         Descent descent{.solved = false, .squared_error = INF, .first_squared_error = INF, .steps = 0};
         double reference = INF;
         int stalled = 0;
@@ -162,11 +169,16 @@ public:
     //
     // Without a pull it ends where the tip is nearest to a target it cannot reach. Returns what is left, in squared reaches.
     double refine(const Pose& target, Constraint constraint, double rotation_weight, Vector q0, double pull, Result q) {
-        const Goal goal = model_.goal(target, constraint);
+        return refine(model_.goal(target, constraint), rotation_weight, q0, pull, q);
+    }
+
+    // The same for a goal, or a region in reaches.
+    template <class Aim>
+    double refine(const Aim& goal, double rotation_weight, Vector q0, double pull, Result q, Refinement until = {}) {
         double best = INF;
         double damping = 0.0;
         double moved = INF;
-        for (int steps = 0; moved > REFINE_MIN_MOVE && steps < MAX_REFINE_STEPS; ++steps) {
+        for (int steps = 0; moved > until.min_move && steps < until.max_steps; ++steps) {
             double size = squared(model_.linearize(goal, q, rotation_weight), rotation_weight);
             for (size_t i = 0; i < q.size(); ++i) {
                 const double away = q0[i] - q[i];
@@ -185,7 +197,7 @@ public:
             best = size;
             model_.keep_best(q);
             model_.add_pull(pull, q0, q);
-            model_.add_curvature(constraint);
+            if constexpr (std::is_same_v<Aim, Goal>) { model_.add_curvature(goal.constraint); }
             moved = model_.step(&Unknown::bounds, damping + MIN_DAMPING, q);
             while (moved < 0.0) {
                 damping = std::max(4.0 * damping, REFINE_CONVEX_DAMPING * std::sqrt(size));

@@ -6,6 +6,7 @@
 
 #include "arguments.hpp"
 #include "ik_solutions.hpp"
+#include "region_search.hpp"
 #include "topics.hpp"
 
 namespace nb = nanobind;
@@ -107,6 +108,67 @@ void refine(const Chain& chain, const In& targets, Constraint constraint, double
     }
 }
 
+constexpr size_t REGION_NUMBERS = 38;
+
+// A region from its numbers: frame, offset, bounds of the lengths and angles, axis and cone.
+Region region_of(Vector numbers) {
+    const auto bounds = [&](size_t k) { return Bounds{numbers[24 + 2 * k], numbers[25 + 2 * k]}; };
+    return {pose_of(numbers.first(12)),
+            pose_of(numbers.subspan(12, 12)),
+            {bounds(0), bounds(1), bounds(2)},
+            {bounds(3), bounds(4), bounds(5)},
+            static_cast<int>(numbers[36]),
+            numbers[37]};
+}
+
+// Applies a search to configurations q (K, n), each for the region of its number, and fills solved and steps (K,).
+template <class Search>
+void for_each_region(const Chain& chain, const In& regions, const IntegersIn& numbers, Tolerances tolerances, const Out& q,
+                     const IntegersOut& solved, const IntegersOut& steps, Search search) {
+    const Matrix sets = regions.matrix(regions.length("regions"), REGION_NUMBERS, "regions");
+    const MatrixResult rows = q.matrix(q.length("q"), chain.n(), "q");
+    const auto region = numbers.vector(rows.rows, "numbers");
+    const auto all_solved = solved.vector(rows.rows, "solved");
+    const auto all_steps = steps.vector(rows.rows, "steps");
+    IkSolver solver(chain);
+    const Tolerances in_reaches = solver.in_reaches(tolerances);
+    for (size_t k = 0; k < rows.rows; ++k) {
+        const size_t r = checked_index(region[k], sets.rows, "numbers");
+        const Descent descent = search(solver, region_of(sets.row(r)).scaled(1.0 / chain.reach()), in_reaches, rows.row(k));
+        all_solved[k] = descent.solved ? 1 : 0;
+        all_steps[k] = descent.steps;
+    }
+}
+
+void search_regions(const Chain& chain, const In& regions, const IntegersIn& numbers, double position_tolerance,
+                    double orientation_tolerance, const In& q0, const Out& q, const IntegersOut& solved, const IntegersOut& steps) {
+    const Vector near = q0.vector(chain.n(), "q0");
+    for_each_region(chain, regions, numbers, {position_tolerance, orientation_tolerance}, q, solved, steps,
+                    [&](IkSolver& solver, const Region& region, const Tolerances& tolerances, Result row) {
+                        return descend_into(solver, region, tolerances, near, row);
+                    });
+}
+
+void slide_in_regions(const Chain& chain, const In& regions, const IntegersIn& numbers, double position_tolerance,
+                      double orientation_tolerance, const In& q0, const Out& q, const IntegersOut& solved, const IntegersOut& steps) {
+    const Vector near = q0.vector(chain.n(), "q0");
+    for_each_region(chain, regions, numbers, {position_tolerance, orientation_tolerance}, q, solved, steps,
+                    [&](IkSolver& solver, const Region& region, const Tolerances& tolerances, Result row) {
+                        return slide_within(solver, region, tolerances, near, row);
+                    });
+}
+
+void nearest_members(const In& region, const In& tips, const Out& members) {
+    const Region given = region_of(region.vector(REGION_NUMBERS, "region"));
+    const Matrix poses = tips.matrix(tips.length("tips"), 12, "tips");
+    const MatrixResult nearest = members.matrix(poses.rows, 12, "members");
+    for (size_t k = 0; k < poses.rows; ++k) {
+        const Pose member = nearest_member(given, pose_of(poses.row(k)));
+        member.rotation.to_rows(nearest.row(k));
+        member.translation.store(nearest.row(k).subspan(9));
+    }
+}
+
 void random_starts(const Chain& chain, const In& q0, std::int64_t first, std::uint64_t seed, const Out& q) {
     const Vector middle = q0.vector(chain.n(), "q0");
     const MatrixResult rows = q.matrix(q.length("q"), chain.n(), "q");
@@ -185,6 +247,11 @@ void bind_chain(nb::module_& module) {
              "Searches for each of the targets (N, 12). Fills q (N, n) and outcomes (N, 4): the first four fields of IkAnswer.")
         .def("refine", &refine, "targets"_a, "constraint"_a, "rotation_weight"_a, "q0"_a, "pull"_a, "q"_a, "squared_errors"_a, Release(),
              "Moves each q (N, n) to a minimum of the squared error plus `pull` times its squared distance from q0.")
+        .def("search_regions", &search_regions, "regions"_a, "numbers"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "q"_a,
+             "solved"_a, "steps"_a, Release(),
+             "Descends from each q (K, n) into the region (R, 38) of its number (K,), and winds it to q0 (n,). Fills solved and steps (K,).")
+        .def("slide_in_regions", &slide_in_regions, "regions"_a, "numbers"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a,
+             "q"_a, "solved"_a, "steps"_a, Release(), "As search_regions, but slides each q towards q0 within its region first.")
         .def("random_starts", &random_starts, "q0"_a, "first"_a, "seed"_a, "q"_a, Release(),
              "Fills q (B, n) with random configurations of numbers from `first` on: odd ones inside the bounds, others in one turn.")
         .def("descend", &descend, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q"_a, "solved"_a,
@@ -282,6 +349,9 @@ void bind_ik(nb::module_& module) {
              "Fills q (M, n), errors and branches (M,) with the solutions for a target (4, 3), refined, the nearest to q0 first.")
         .def("find_first", &find_first, "targets"_a, "q0"_a, "slack"_a, "margin"_a, "positions"_a, "q"_a, "found"_a, Release(),
              "Fills q (N, n) with a configuration for each of the targets (N, 12) that has any.");
+    module.attr("REGION_NUMBERS") = REGION_NUMBERS;
+    module.def("nearest_members", &nearest_members, "region"_a, "tips"_a, "members"_a, Release(),
+               "Fills members (K, 12) with the poses of a region (38,) that are nearest to the tips (K, 12).");
     module.def("residuals", &find_residuals, "constraint"_a, "targets"_a, "positions"_a, "rotations"_a, "position_errors"_a,
                "orientation_errors"_a, Release(), "The errors of tips (N, 3) and (N, 3, 3) for targets (N, 12), (N,) each.");
 }

@@ -15,6 +15,7 @@ from armctl.core.target import TargetLike
 from armctl.core.tip_targets import TipTargets, read_polygon
 from armctl.core.validation import Array, choice, frozen, number, vector
 from armctl.model.arm.arm import Arm, check_arm, check_one_tip
+from armctl.plan.ik.region import Region
 from armctl.plan.ik.target_program import QP_SOLVERS, TargetProgram
 from armctl.plan.ik.tree_steps import TreeSteps
 
@@ -97,12 +98,13 @@ class DifferentialIk:
         """The configuration of mink at the last step of an arm with one tip."""
         return self._only_program.configuration
 
-    def step(self, q: ArrayLike, target: TargetLike | TipTargets, dt: float, *, free_axis: str | None = None) -> Array:
+    def step(self, q: ArrayLike, target: TargetLike | Region | TipTargets, dt: float, *, free_axis: str | None = None) -> Array:
         """The joint velocity that brings the tip nearer to the target, or several tips nearer to theirs.
 
         Args:
             q: (n,) rad (m for a slide joint), the current configuration; joints outside their limits move back in.
-            target: A Pose, (3,) m for position only, or a Target; or targets by tip as for `solve_ik`.
+            target: A Pose, (3,) m for position only, or a Target; a Region, of which this step approaches the member nearest to
+                the tip; or targets by tip as for `solve_ik`.
             dt: s, for how long the velocity will be held.
             free_axis: "x", "y" or "z": the tip's axis about which the target may be turned freely.
 
@@ -116,6 +118,9 @@ class DifferentialIk:
         start = vector("q", q, self.arm.n)
         self.arm.check_units("q", start)
         dt = number("dt", dt, 1e-9)
+        if isinstance(target, Region):
+            check_one_tip(self.arm)
+            target = target.nearest(self.arm.fk(start)).pose
         if not isinstance(target, Mapping) and len(self._polygon):
             target = {self.arm.tip: target}
         if not isinstance(target, Mapping):

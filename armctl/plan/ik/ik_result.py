@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from armctl.core.result import Verdict
+from armctl.core.target import RegionMember
 from armctl.core.units import length_text
 from armctl.core.validation import Array, BoolArray, IntArray, TextArray, frozen
 
@@ -37,6 +38,7 @@ class IkResult(Verdict):
             closed form.
         tip_errors: Of targets by tip, the position error, m, and the orientation error, rad, of each of them; then the two
             errors above are the largest ones. Empty for a single target.
+        member: Of a region as the target, the pose that was chosen; None for another target.
     """
 
     ok: bool
@@ -48,6 +50,7 @@ class IkResult(Verdict):
     starts: int
     branch: str | None = None
     tip_errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    member: RegionMember | None = None
 
     def __str__(self) -> str:
         if self.ok:

@@ -23,6 +23,7 @@ from armctl.plan.ik.closed_form_solutions import closed_form_solutions
 from armctl.plan.ik.ik_result import IkResult, failure_reason, no_solution_without_contact
 from armctl.plan.ik.numerical_solutions import numerical_solutions, swept_joints
 from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, open_chain, read_seed, read_start, read_target, read_tolerance
+from armctl.plan.ik.region import Region
 
 NEAREST_STARTS = 64
 NEAREST_SAMPLE = 64  # solutions of a closed form
@@ -41,7 +42,7 @@ class IkCandidate(NamedTuple):
 
 def solve_ik(
     arm: Arm,
-    target: TargetLike | TipTargets,
+    target: TargetLike | Region | TipTargets,
     q0: ArrayLike | None = None,
     *,
     position_tolerance: float = 1e-5,
@@ -60,7 +61,7 @@ def solve_ik(
         target: A Pose, (3,) m for position only, or a Target, whose own tolerances are not used here. Of several tips a dict
             of such targets by the names of tips; a target can also be `armctl.STAY`, `RelativeTo` or `LookAt`. Tips without a
             target are free. Of targets out of reach, tips that stay or are relative hold, and the sum of the other squared
-            errors becomes least.
+            errors becomes least. Or a Region: of its poses that are found the one with the nearest configuration is taken.
         q0: (n,) rad (m for a slide joint), where the search starts; the solution is near it if possible. By default the arm's
             home.
         position_tolerance: m.
@@ -81,6 +82,19 @@ def solve_ik(
         LimitError: q0 is outside the joint limits.
         ModelError: Collisions are to be avoided, and a link of the arm has no collision shape.
     """
+    if isinstance(target, Region):
+        from armctl.plan.ik.region_solutions import solve_region
+
+        return solve_region(
+            arm,
+            target,
+            q0,
+            position_tolerance=position_tolerance,
+            orientation_tolerance=orientation_tolerance,
+            free_axis=free_axis,
+            avoid=flag("avoid", avoid),
+            seed=seed,
+        )
     # The checks of the usual types are inline: each as a function of its own would take 1 % of the call.
     chain = None
     if center_of_mass_within is None and (type(target) is Pose or not isinstance(target, Mapping)):

@@ -15,12 +15,15 @@ from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.moving_joints import KeptAxis
+from armctl.plan.ik.region import Region
+from armctl.plan.ik.region_solutions import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, STARTS, RegionSearch
 from armctl.plan.ik.resting_joints import RestingJoints, resting_joints
 from armctl.plan.ik.solve import solve_ik
 
 _IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
 _MAX_IK_TRIES = 500  # as long as no solution is free
 MAX_ROOTS = 8  # of the goal tree, for each pose or point
+MAX_REGION_ROOTS = 24  # for each region
 _SAME_CONFIGURATION = 1e-3  # rad
 
 FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: the type ArrayLike includes Sequence
@@ -38,7 +41,7 @@ def free_goals(
 ) -> tuple[Array, Array]:
     """The free configurations of a goal, nearest to the start first, and the freest of them. Raises PlanError."""
     searches = [
-        GoalSearch(arm, start, candidate, rng, lambda q: checker.nearest(q)[1] > 0.0, keep)
+        _search_for(arm, start, candidate, rng, lambda q: checker.nearest(q)[1] > 0.0, keep)
         for candidate in _goal_list(arm, goal)
     ]
     found: list[Array] = []
@@ -71,9 +74,9 @@ def free_goals(
     return np.array(found)[order], found[int(np.argmax(distances))]
 
 
-def _goal_list(arm: Arm, goal: FreeGoal) -> Sequence[Pose | Target | Array | TipTargets]:
+def _goal_list(arm: Arm, goal: FreeGoal) -> Sequence[Pose | Target | Region | Array | TipTargets]:
     """A goal, or a list of goals, as poses, points, configurations and targets by tip."""
-    if isinstance(goal, (Pose, Target)):
+    if isinstance(goal, (Pose, Target, Region)):
         return [goal]
     if isinstance(goal, Mapping):
         return [goal]
@@ -82,18 +85,66 @@ def _goal_list(arm: Arm, goal: FreeGoal) -> Sequence[Pose | Target | Array | Tip
     except ValueError:  # a list of goals of different lengths
         is_numbers = False
     goals = [goal] if is_numbers else list(goal) if isinstance(goal, (Sequence, np.ndarray)) else []
-    checked: list[Pose | Target | Array] = []
+    checked: list[Pose | Target | Region | Array] = []
     for item in goals:
-        if isinstance(item, (Pose, Target)):
+        if isinstance(item, (Pose, Target, Region)):
             checked.append(item)
             continue
         numbers = np.asarray(item, dtype=object).reshape(-1)
         if len(numbers) not in (3, arm.n):
-            raise InputError(f"goal: {item!r:.80} is not a configuration of {arm.n} joints, a Pose or a point of three numbers")
+            raise InputError(f"goal: {item!r:.80} is not a configuration of {arm.n} joints, a Pose, a Region or three numbers")
         checked.append(arm.checked("goal", item) if len(numbers) == arm.n else Target.read(item))
     if not checked:
-        raise InputError(f"goal: {goal!r:.80} is not a configuration of {arm.n} joints, a Pose, a point or a list of these")
+        raise InputError(
+            f"goal: {goal!r:.80} is not a configuration of {arm.n} joints, a Pose, a Region, a point or a list of these"
+        )
     return checked
+
+
+def _search_for(
+    arm: Arm,
+    start: Array,
+    goal: Pose | Target | Region | Array | TipTargets,
+    rng: np.random.Generator,
+    is_free: Callable[[Array], bool],
+    keep: KeptAxis | None,
+) -> GoalSearch | RegionGoalSearch:
+    if isinstance(goal, Region):
+        return RegionGoalSearch(arm, start, goal, int(rng.integers(2**31)), is_free)
+    return GoalSearch(arm, start, goal, rng, is_free, keep)
+
+
+class RegionGoalSearch:
+    """The configurations of a region that have been found, the nearest to the start first.
+
+    Attributes:
+        found: (n,) rad each.
+        refusal: Why there is none.
+    """
+
+    def __init__(self, arm: Arm, start: Array, goal: Region, seed: int, is_free: Callable[[Array], bool]):
+        self.found: list[Array] = []
+        self.refusal = ""
+        self._goal = goal
+        self._start = start
+        self._search = RegionSearch(arm, goal, start, (POSITION_TOLERANCE, ORIENTATION_TOLERANCE), seed)
+        self._is_free = is_free
+        self._rounds = 0
+
+    def extend(self, most: int) -> None:
+        """Looks for more: one round if `most` is few starts, else round after round until one has found a free one."""
+        last = 1 if most <= _IK_TRIES + 1 else len(STARTS)
+        free = sum(map(self._is_free, self.found))
+        while not free and self._rounds < last:
+            solutions = self._search.round(self._rounds)
+            self._rounds += 1
+            for q in solutions.q[solutions.solved]:
+                self.found.append(q)
+                free += self._is_free(q)
+                if free == MAX_REGION_ROOTS:
+                    break
+        if not self.found and not self.refusal and self._rounds == len(STARTS):
+            self.refusal = solve_ik(self._search.arm, self._goal, self._start).reason
 
 
 class GoalSearch:

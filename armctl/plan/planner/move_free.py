@@ -206,9 +206,9 @@ def move_free(
         arm: The arm, in its scene.
         q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves. The arm then slows down as fast as it
             can, and turns to the way around the obstacles meanwhile.
-        goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which one is reached; or
-            targets by tip, as for `solve_ik`. For an arm of three joints three numbers are a configuration;
-            `Target.read(point)` is a point.
+        goal: (n,) rad, a Pose, a Region, (3,) m where the orientation does not matter, or a list of these, of which one is
+            reached; `region.nearest(arm.fk(q))` tells which member of a region it is. Or targets by tip, as for `solve_ik`. For
+            an arm of three joints three numbers are a configuration; `Target.read(point)` is a point.
         clearance: m, of the path; the smooth motion keeps half of it. Two bodies that are nearer at the start or the goal may
             come as near during the motion, all bodies only if there is no other way.
         allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.

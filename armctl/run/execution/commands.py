@@ -23,6 +23,7 @@ from armctl.model.arm.arm import check_one_tip
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
 from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
+from armctl.plan.ik.region import Region
 from armctl.plan.ik.tree_problem import read_tasks
 from armctl.plan.motion.given_duration import read_duration
 from armctl.plan.motion.move_cartesian import PATH_DEFAULTS, Arc, Line, PathOptions, move_c, move_l, move_path, read_path
@@ -30,7 +31,16 @@ from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.move_free import FreeSpace
-from armctl.run.execution.move import ControlledArm, PlannedMove, plan_by_tip, plan_free, plan_lasting, plan_move, plan_to
+from armctl.run.execution.move import (
+    ControlledArm,
+    PlannedMove,
+    plan_by_tip,
+    plan_free,
+    plan_into,
+    plan_lasting,
+    plan_move,
+    plan_to,
+)
 from armctl.run.execution.obstacles import Obstacles
 
 if TYPE_CHECKING:
@@ -129,7 +139,7 @@ class Commands:
 
     def move_to(
         self,
-        target: TargetLike | TipTargets,
+        target: TargetLike | Region | TipTargets,
         *,
         speed: float = 1.0,
         avoid: bool = True,
@@ -141,8 +151,9 @@ class Commands:
         """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
 
         Args:
-            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances; or targets by tip, as for
-                `solve_ik`, of which all are reached at the same time.
+            target: T_world_tip, (3,) m if any orientation is accepted, a Target with tolerances, or a Region, of which `member`
+                of the result says where the tip went; or targets by tip, as for `solve_ik`, of which all are reached at the
+                same time.
             speed: Fraction of the full speed, in (0, 1].
             avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight. An arm whose
                 links lack a collision shape is refused where there is anything around it that it could touch.
@@ -161,13 +172,17 @@ class Commands:
         if isinstance(target, Mapping):
             return self._move_by_tip(target, speed, avoid, allow, keep, read_duration(duration))
         check_one_tip(self.arm)
-        goal = Target.read(target)
+        region = target if isinstance(target, Region) else None
+        goal = Target.read(self.tip if isinstance(target, Region) else target)
         checker = self._checker(avoid, allow)
         kept = read_kept_axis(self.arm, keep, keep_within, self._start)
         if kept is not None and checker is None:
             raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
         space = None if checker is None else FreeSpace(checker, keep=kept)
-        plan = partial(plan_to, self.arm, goal, self._start, speed, space)
+        if region is not None:
+            plan = partial(plan_into, self.arm, region, self._start, speed, space)
+        else:
+            plan = partial(plan_to, self.arm, goal, self._start, speed, space)
         return self._move(goal, partial(plan_lasting, self.arm, plan, read_duration(duration)))
 
     def move_j(

@@ -16,7 +16,7 @@ from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
-from armctl.core.target import Target
+from armctl.core.target import RegionMember, Target
 from armctl.core.tip_targets import LookAt, RelativeTo, Stay, TipTargets, targets_by_tip
 from armctl.core.trajectory import TickReference, Trajectory, check_motion
 from armctl.core.units import above_text, length_text
@@ -24,6 +24,7 @@ from armctl.core.validation import Array, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.clearance import clearance_of
+from armctl.plan.ik.region import Region
 from armctl.plan.ik.resting_joints import resting_joints
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.given_duration import lasting
@@ -49,6 +50,7 @@ class PlannedMove:
     clearance: float = math.nan  # m, that the motion is proved to keep; NaN if there is no proof
     left_out: tuple[tuple[str, str], ...] = ()  # bodies that touch by design, which the proof leaves out
     tip_targets: Mapping[str, Target] = field(default_factory=dict)  # by tip, of an arm with several; else empty
+    member: RegionMember | None = None  # of a region as the target
 
 
 def plan_move(
@@ -106,6 +108,25 @@ def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeS
     return plan_move(arm, target, lambda: move_j(arm, q_start, solution.q, speed=speed))
 
 
+def plan_into(arm: Arm, region: Region, q_start: Array, speed: float, space: FreeSpace | None = None) -> PlannedMove:
+    """A move into a region, as `plan_to`; its target is the member that it ends at, or without a motion the nearest one."""
+    arm.limits.at_speed(speed)
+    nearest = PlannedMove(Target.read(region.nearest(arm.fk(q_start)).pose))
+    if space is not None:
+        move = plan_free(arm, nearest.target, q_start, region, speed, space)
+    else:
+        solution = solve_ik(arm, region, q_start, avoid=not arm.unchecked_links)
+        if not solution.ok and not arm.unchecked_links:
+            solution = solve_ik(arm, region, q_start)
+        if not solution.ok:
+            return replace(nearest, refusal=solution.reason)
+        move = plan_move(arm, nearest.target, lambda: move_j(arm, q_start, solution.q, speed=speed))
+    if move.trajectory is None:
+        return move
+    member = region.nearest(arm.fk(move.trajectory(move.trajectory.duration).q))
+    return replace(move, target=Target.read(member.pose), member=member)
+
+
 def plan_by_tip(arm: Arm, targets: TipTargets, q_start: Array, speed: float, space: FreeSpace | None) -> PlannedMove:
     """A move of several tips to their targets, as `plan_to`. Tips that are relative or look end as planned."""
     arm.limits.at_speed(speed)
@@ -134,8 +155,10 @@ def plan_by_tip(arm: Arm, targets: TipTargets, q_start: Array, speed: float, spa
     return PlannedMove(tips[arm.tip], motion, clearance=clearance, left_out=left_out, tip_targets=tips)
 
 
-def plan_free(arm: Arm, target: Target, q_start: Array, goal: Target | Array, speed: float, space: FreeSpace) -> PlannedMove:
-    """A move around obstacles to a target or a configuration."""
+def plan_free(
+    arm: Arm, target: Target, q_start: Array, goal: Target | Region | Array, speed: float, space: FreeSpace
+) -> PlannedMove:
+    """A move around obstacles to a target, into a region or to a configuration."""
     try:
         motion = move_free_with(space, arm, q_start, goal, speed=speed)
     except (PlanError, ModelError) as error:
@@ -357,4 +380,5 @@ class ControlledArm:
             unchecked_links=self.arm.unchecked_links,
             clearance=move.clearance,
             left_out=move.left_out,
+            member=move.member,
         )
