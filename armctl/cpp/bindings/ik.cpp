@@ -113,12 +113,8 @@ constexpr size_t REGION_NUMBERS = 38;
 // A region from its numbers: frame, offset, bounds of the lengths and angles, axis and cone.
 Region region_of(Vector numbers) {
     const auto bounds = [&](size_t k) { return Bounds{numbers[24 + 2 * k], numbers[25 + 2 * k]}; };
-    return {pose_of(numbers.first(12)),
-            pose_of(numbers.subspan(12, 12)),
-            {bounds(0), bounds(1), bounds(2)},
-            {bounds(3), bounds(4), bounds(5)},
-            static_cast<int>(numbers[36]),
-            numbers[37]};
+    return {pose_of(numbers.first(12)),        pose_of(numbers.subspan(12, 12)), {bounds(0), bounds(1), bounds(2)},
+            {bounds(3), bounds(4), bounds(5)}, static_cast<int>(numbers[36]),    numbers[37]};
 }
 
 // Applies a search to configurations q (K, n), each for the region of its number, and fills solved and steps (K,).
@@ -247,9 +243,10 @@ void bind_chain(nb::module_& module) {
              "Searches for each of the targets (N, 12). Fills q (N, n) and outcomes (N, 4): the first four fields of IkAnswer.")
         .def("refine", &refine, "targets"_a, "constraint"_a, "rotation_weight"_a, "q0"_a, "pull"_a, "q"_a, "squared_errors"_a, Release(),
              "Moves each q (N, n) to a minimum of the squared error plus `pull` times its squared distance from q0.")
-        .def("search_regions", &search_regions, "regions"_a, "numbers"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "q"_a,
-             "solved"_a, "steps"_a, Release(),
-             "Descends from each q (K, n) into the region (R, 38) of its number (K,), and winds it to q0 (n,). Fills solved and steps (K,).")
+        .def(
+            "search_regions", &search_regions, "regions"_a, "numbers"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "q"_a,
+            "solved"_a, "steps"_a, Release(),
+            "Descends from each q (K, n) into the region (R, 38) of its number (K,), and winds it to q0 (n,). Fills solved and steps (K,).")
         .def("slide_in_regions", &slide_in_regions, "regions"_a, "numbers"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a,
              "q"_a, "solved"_a, "steps"_a, Release(), "As search_regions, but slides each q towards q0 within its region first.")
         .def("random_starts", &random_starts, "q0"_a, "first"_a, "seed"_a, "q"_a, Release(),

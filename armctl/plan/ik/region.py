@@ -56,7 +56,11 @@ class RegionPart:
         )
 
     def nearest(self, tip: Pose) -> Pose:
-        """The member that is nearest to a pose of the tip: turned into the region first, then moved."""
+        """The member with the nearest coordinates to those of a pose of the tip: turned into the region first, then moved.
+
+        Args:
+            tip: T_world_tip.
+        """
         member = np.empty((1, 12))
         _core.nearest_members(self.numbers, np.ascontiguousarray(tip.rows.reshape(1, 12)), member)
         return computed_pose(member[0, 9:].copy(), member[0, :9].reshape(3, 3).copy())
@@ -266,7 +270,7 @@ class Region:
         return _region_of(tuple(replace(part, name=name) for part in self.parts))
 
     def nearest(self, tip: Pose) -> RegionMember:
-        """The member that is nearest to a pose: of the parts with the least distance, a radian counts like a metre.
+        """The member whose coordinates are nearest to those of a pose, of the nearest part; a radian counts like a metre there.
 
         Args:
             tip: T_world_tip.
@@ -296,6 +300,9 @@ class Region:
             count: How many.
             seed: Of the random numbers.
 
+        Returns:
+            The poses of the tip.
+
         Raises:
             InputError: A length has infinite bounds.
         """
@@ -310,7 +317,7 @@ def _across(closing: str) -> Array:
 
 
 def _towards_axis(distance: float, upright: Array) -> Pose:
-    """T_shape_tip in front of a shape's x axis, its z axis towards the shape, and its axis `upright` along that of the shape."""
+    """T_shape_tip on a shape's x axis, with its z axis towards the shape, and its axis `upright` along the shape's z axis."""
     inwards = np.array([-1.0, 0.0, 0.0])
     up = np.array([0.0, 0.0, upright.sum()])
     side = np.cross(inwards, up)

@@ -15,15 +15,14 @@ from armctl.model.collision.checkers import checkable
 from armctl.plan.ik.ik_result import IkResult, failure_reason, no_solution_without_contact
 from armctl.plan.ik.lm import TOLERANCE_SHARE
 from armctl.plan.ik.problem import IkChain, ik_chain, read_seed, read_starts, read_tolerance
+from armctl.plan.ik.reachability import POSITION_TOLERANCE
 from armctl.plan.ik.region import Region
 
 # Random starts of all parts together, in rounds: the next one is made where those before have found nothing (without contact).
 STARTS = (64, 256, 1024)
 _MIN_STARTS_PER_PART = 2
 _SLIDES = 3  # of the nearest solutions of each part, which slide towards q0
-_SAME_CONFIGURATION = 1e-3  # rad
-POSITION_TOLERANCE = 1e-5  # m
-ORIENTATION_TOLERANCE = 1e-4  # rad
+SAME_CONFIGURATION = 1e-3  # rad
 
 
 class RegionSolutions(NamedTuple):
@@ -94,7 +93,7 @@ class RegionSearch:
         q = found.q[rows]
         is_new = np.ones(len(q), bool)
         for k in range(1, len(q)):
-            same = np.abs(q[:k][is_new[:k]] - q[k]).max(axis=1) <= _SAME_CONFIGURATION
+            same = np.abs(q[:k][is_new[:k]] - q[k]).max(axis=1) <= SAME_CONFIGURATION
             is_new[k] = not same.any()
         rows = rows[is_new]
         return found._replace(q=found.q[rows], part=found.part[rows], solved=found.solved[rows])

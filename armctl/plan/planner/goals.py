@@ -15,8 +15,9 @@ from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.moving_joints import KeptAxis
+from armctl.plan.ik.reachability import ORIENTATION_TOLERANCE, POSITION_TOLERANCE
 from armctl.plan.ik.region import Region
-from armctl.plan.ik.region_solutions import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, STARTS, RegionSearch
+from armctl.plan.ik.region_solutions import SAME_CONFIGURATION, STARTS, RegionSearch
 from armctl.plan.ik.resting_joints import RestingJoints, resting_joints
 from armctl.plan.ik.solve import solve_ik
 
@@ -24,7 +25,6 @@ _IK_TRIES = 24  # starts from which solutions for a pose or a point are looked f
 _MAX_IK_TRIES = 500  # as long as no solution is free
 MAX_ROOTS = 8  # of the goal tree, for each pose or point
 MAX_REGION_ROOTS = 24  # for each region
-_SAME_CONFIGURATION = 1e-3  # rad
 
 FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: the type ArrayLike includes Sequence
 
@@ -204,7 +204,7 @@ class GoalSearch:
     def _add(self, q: Array) -> None:
         count = len(self.found)
         solution = q if self._resting is None else _with_resting(q, self._start, self._resting, self._is_free)
-        if count and np.abs(self._known[:count] - solution).max(axis=1).min() <= _SAME_CONFIGURATION:
+        if count and np.abs(self._known[:count] - solution).max(axis=1).min() <= SAME_CONFIGURATION:
             return
         self._known[count] = solution
         self.found.append(solution)
