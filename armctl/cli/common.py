@@ -18,7 +18,7 @@ DONE = 0
 NOT_REACHED = 1
 WRONG_CALL = 2
 
-PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, all, or a number of Plant; several joined with +"
+PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, all, or ARGUMENT=NUMBER of Plant; several joined with +"
 _CHAIN_OPTIONS = {
     "--tip": "site, body or geom at the end of the chain",
     "--base": "body at the start of the chain; joints above it are held",

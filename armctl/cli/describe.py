@@ -13,11 +13,13 @@ from armctl.core import units
 from armctl.core.json_values import json_value
 from armctl.core.log import Log
 from armctl.core.tables import Table
+from armctl.core.validation import Array
 from armctl.lab.loops.linearization import linearize
 from armctl.lab.static_payload import doubt_about_torque_limits, static_payload, static_payloads
 from armctl.model.arm.arm import Arm
 from armctl.model.loading.base import BASE_JOINTS
 from armctl.model.loading.chain import SerialChain
+from armctl.model.mjmodel.queries import body_name
 
 TABLE_COLUMNS = 100  # of a table of a robot with several tips
 
@@ -31,6 +33,8 @@ def facts(arm: Arm) -> dict[str, Any]:
         "base": arm.base,
         "tip": arm.tip,
         "tip_at_home": arm.fk(arm.home).position.tolist(),
+        "tip_body": body_name(arm.model, arm.tip_body),
+        "tip_offset": arm.T_body_tip.position.tolist(),
         "tips": {tip: _tip_facts(arm, tip) for tip in arm.tips},
         "home": arm.home.tolist(),
         "limits": {f.name: getattr(arm.limits, f.name).tolist() for f in fields(arm.limits)},
@@ -77,7 +81,7 @@ def describe(arm: Arm, data: dict[str, Any]) -> str:
     if arm.further_tips:
         lines = [f"{moving}, {len(arm.tips)} tips", *base, *_tips_in_words(arm), ""]
     else:
-        lines = [f"{moving}, tip {arm.tip!r} at {_place(arm, arm.tip)} m at home", *base]
+        lines = [f"{moving}, tip {arm.tip!r} at {_place(arm, arm.tip)} m at home", _tip_offset(arm), *base]
     lines += _joints_in_words(arm)
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
@@ -99,7 +103,21 @@ def span(joints: Sequence[int]) -> str:
 
 
 def _place(arm: Arm, tip: str) -> str:
-    return f"[{', '.join(f'{x:.4f}' for x in arm.fk(arm.home, tip).position)}]"
+    return _vector(arm.fk(arm.home, tip).position)
+
+
+def _vector(numbers: Array) -> str:
+    return f"[{', '.join(f'{x:.4f}' for x in np.round(numbers, 4) + 0.0)}]"  # the sum turns -0 into 0
+
+
+def _tip_offset(arm: Arm) -> str:
+    """Where the tip is on its body: a tip has the name of a site, or of the body that it belongs to."""
+    offset = arm.T_body_tip.position
+    body = body_name(arm.model, arm.tip_body)
+    if not offset.any():
+        return f"tip: the origin of body {body!r}"
+    distance = 1e3 * float(np.linalg.norm(offset))
+    return f"tip: {distance:.1f} mm from the origin of body {body!r}, at {_vector(offset)} m in its frame"
 
 
 def _tips_in_words(arm: Arm) -> list[str]:
@@ -135,14 +153,14 @@ def _control_in_words(arm: Arm, data: dict[str, Any]) -> list[str]:
     at_tip = f"at the tip {arm.tip!r}" if arm.further_tips else "at the tip"
     payload = data["static_payload_kg"]
     if payload is None:
-        lines.append(f"static payload {at_tip}: any, because a weight there loads no joint")
+        lines.append(f"static payload {at_tip}: not limited, for no joint carries a weight there")
     else:
         doubt = doubt_about_torque_limits(arm, payload)
         lines.append(doubt or f"static payload {at_tip}, in 95 % of configurations: {max(payload, 0.0):.3g} kg")
     unknown = data["unknown_payload_kg"]
     lines.append(
-        "unknown payload within 5 cm of the tip, default gains of computed-torque-observer and -learning: up to "
-        f"{unknown:.3g} kg keeps the delay margin, up to {2 * unknown:.3g} kg is stable"
+        "default computed-torque-observer and -learning, with an unknown payload within 5 cm of the tip: they keep their delay "
+        f"margin up to {unknown:.3g} kg, and are stable up to {2 * unknown:.3g} kg"
     )
     lines.append(
         f"default computed-torque at home: slowest pole {data['slowest_pole_per_s']:.3g} 1/s, bandwidth "

@@ -44,16 +44,15 @@ def margin_exceptions(arm: Arm) -> tuple[MarginException, ...]:
     if missed:
         periods = ", ".join(f"{1e3 * dt:g}" for dt in missed)
         reason = (
-            f" at control periods of {periods} ms: no gains satisfy both bounds "
-            f"(sensitivity {max(peaks.values()):.1f}), because gravity needs {max(excesses.values()):.1f} times the stiffness "
-            "that can be damped: the inertia of a joint varies too much with the motion of the others"
+            f": no robust gains on this arm at control periods of {periods} ms (Ms {max(peaks.values()):.1f}): gravity needs "
+            f"{max(excesses.values()):.1f} times the stiffness that can be damped; use a controller with a model"
         )
         found.append(MarginException(("pd", "pd-feedforward", "pd-gravity"), reason))
     ratio = _impedance_gravity_ratio(arm)
     if ratio > _MAX_GRAVITY_RATIO:
         reason = (
-            f": its peak sensitivity is above {MAX_PEAK_SENSITIVITY:g}, because the torque against gravity changes "
-            f"{ratio:.1f} times as fast as that of the springs; give a higher stiffness"
+            f": its stiffness is too low for this arm (Ms above {MAX_PEAK_SENSITIVITY:g}): gravity acts as a negative "
+            f"stiffness {ratio:.1f} times as large; pass a higher one"
         )
         found.append(MarginException(("impedance",), reason))
     return tuple(found)

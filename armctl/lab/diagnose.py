@@ -18,7 +18,6 @@ from armctl.model.arm.arm import Arm
 from armctl.model.loading.load import load
 from armctl.model.mjmodel.queries import acts, body_name, joint_name
 
-_MAX_OWN_WEIGHTS = 5.0  # an arm that could hold more than so many times its own mass has doubtful torque limits
 _MAX_MASS_RATIO = 1000.0  # greatest mass of a link over the smallest
 
 
@@ -129,14 +128,10 @@ def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:
         yield Finding(Severity.WARNING, text, "compare effort or forcerange, and the masses, with the data sheet")
     low = static_payload(payloads)
     middle = float(np.median(payloads))
-    own = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[arm.joint_map.joints[0]]])
     doubt = doubt_about_torque_limits(arm, low)
     if doubt:
         yield Finding(Severity.WARNING, doubt, "take effort or forcerange from the data sheet")
-    if np.isfinite(low) and low > _MAX_OWN_WEIGHTS * own:
-        text = f"the torque limits ({source}) hold {low:.3g} kg at the tip of an arm of {own:.3g} kg"
-        yield Finding(Severity.WARNING, text, "these limits are doubtful; take them from the data sheet")
-    elif np.isfinite(middle) and low >= 0 and not doubt:
+    elif np.isfinite(middle) and low >= 0:
         yield Finding(Severity.NOTE, f"the torque limits ({source}) hold {low:.3g} kg at the tip (median {middle:.3g} kg)")
 
 

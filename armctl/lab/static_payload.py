@@ -12,6 +12,8 @@ _WORST_PERCENT = 5.0  # of the configurations, which do not count: stretched out
 # UR5e, iiwa 14 and Gen3. Torque limits far outside this range are not those of the motors.
 _MIN_RATED_SHARE = 0.75
 _MAX_RATED_SHARE = 4.0
+# Arms hold 0.2 to 1.8 times the mass of their links at rest: torque limits that hold more than this are doubtful.
+_MAX_OWN_MASSES = 5.0
 
 
 def static_payloads(arm: Arm) -> Array:
@@ -38,10 +40,17 @@ def static_payload(payloads: Array) -> float:
 
 
 def doubt_about_torque_limits(arm: Arm, payload: float) -> str:
-    """Why the limits cannot be those of the motors, by the static and the rated payload, kg; empty without doubt or rating."""
+    """Why the limits cannot be those of the motors: the static payload, kg, beside the rated one or, unrated, the arm's mass.
+
+    The text is empty without doubt, and for a weight that loads no joint.
+    """
     row = datasheet_of(arm.name)
     if row is None or row.payload is None or row.rating not in arm.notes:
-        return ""
+        own = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[arm.joint_map.joints[0]]])
+        if not _MAX_OWN_MASSES * own < payload < np.inf:
+            return ""
+        source = arm.sources["tau_max"]
+        return f"the torque limits ({source}) hold {payload:.3g} kg at the tip of an arm of {own:.3g} kg: they are too strong"
     share = payload / row.payload
     if _MIN_RATED_SHARE <= share <= _MAX_RATED_SHARE:
         return ""

@@ -222,15 +222,32 @@ def test_info_names_joints_limits_and_sources(capsys):
     assert status == 0
     assert "shoulder_pitch" in out
     assert "tau_max from: ctrlrange" in out
+    assert "kg at the tip of an arm of 2.4 kg: they are too strong" in out
+    assert "tip: the origin of body 'ee_body'" in out
     _, out, _ = run(capsys, "info", BUNDLED, "--json")
     assert json.loads(out)["result"]["limits"]["tau_max"] == [250.0, 250.0, 150.0]
+
+
+def test_info_prints_where_the_tip_is_on_its_body(capsys, tmp_path: Path):
+    file = tmp_path / "arm.xml"
+    file.write_text("""<mujoco><worldbody><body><joint name="a" axis="0 1 0" range="-90 90"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/><body name="forearm" pos="0.3 0 0">
+      <joint name="b" axis="0 1 0" range="-90 90"/><geom type="capsule" size="0.02" fromto="0 0 0 0.2 0 0"/>
+      <site name="tool" pos="0.24 0 -0.07"/></body></body></worldbody>
+      <actuator><motor joint="a" ctrlrange="-20 20"/><motor joint="b" ctrlrange="-20 20"/></actuator></mujoco>""")
+    _, out, _ = run(capsys, "info", str(file))
+    assert "tip: 250.0 mm from the origin of body 'forearm', at [0.2400, 0.0000, -0.0700] m in its frame" in out
+    _, out, _ = run(capsys, "info", str(file), "--json")
+    found = json.loads(out)["result"]
+    assert found["tip_body"] == "forearm"
+    assert found["tip_offset"] == pytest.approx([0.24, 0.0, -0.07])
 
 
 def test_an_arm_whose_joints_bear_no_weight_holds_any_payload(capsys, tmp_path: Path):
     file = tmp_path / "planar.urdf"
     file.write_text(urdf(FIRST, SECOND, THIRD, TOOL).replace("0 1 0", "0 0 1"))
     _, out, _ = run(capsys, "info", str(file))
-    assert "static payload at the tip: any, because" in out
+    assert "static payload at the tip: not limited" in out
     _, out, _ = run(capsys, "info", str(file), "--json")
     assert json.loads(out, parse_constant=pytest.fail)["result"]["static_payload_kg"] is None
 

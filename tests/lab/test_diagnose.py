@@ -44,7 +44,7 @@ FAULTS = {
     "links that touch": (OVERLAP, r"contacts of 1 pair of links", "list the pairs in an SRDF"),
     "too strong": (
         ROBOT.replace('effort="40"', 'effort="40000"'),
-        "kg at the tip of an arm of 3 kg",
+        "kg at the tip of an arm of 3 kg: they are too strong",
         "take them from the data sheet",
     ),
     "units": (

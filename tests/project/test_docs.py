@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import pytest
@@ -23,10 +24,21 @@ def blocks(text: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
 
 
-def programs(text: str) -> list[str]:
-    """The Python of a page in order: the visible blocks, and the preparation in comments of the form `<!-- python ... -->`."""
-    found = re.findall(r"^```python\n(.*?)^```|^<!-- python\n(.*?)^-->", text, flags=re.MULTILINE | re.DOTALL)
-    return [shown or hidden for shown, hidden in found]
+EACH_CONTINUES = "The snippets go on from each other."
+CONTINUES = "# continues the program above\n"
+
+
+def programs(text: str) -> list[list[str]]:
+    """The Python programs of a page: a block and those below it that say that they continue it."""
+    if EACH_CONTINUES in text:
+        return [blocks(text, "python")]
+    found: list[list[str]] = []
+    for block in blocks(text, "python"):
+        if block.startswith(CONTINUES):
+            found[-1].append(block)
+        else:
+            found.append([block])
+    return found
 
 
 COMMANDS = sorted(
@@ -104,14 +116,65 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
         pytest.importorskip("matplotlib_inline", reason="pip install -e '.[ci]'")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
-    names: dict[str, object] = {}
+    if page.name == "notebooks.md":
+        matplotlib.use("module://matplotlib_inline.backend_inline")
     for number, program in enumerate(programs(TEXTS[page])):
         try:
-            exec(compile(program, f"{page}, program {number}", "exec"), names)
+            run(program, f"{page}, program {number}")
         except (armctl.UnknownNameError, armctl.ModelError, ImportError) as error:
             if isinstance(error, ImportError) or MISSING in str(error):
                 pytest.skip(str(error))
             raise
+
+
+def run(program: list[str], name: str) -> dict[str, Any]:
+    """Runs the blocks of a program one after the other, and returns what they define."""
+    names: dict[str, Any] = {}
+    for block in program:
+        exec(compile(block, name, "exec"), names)
+    return names
+
+
+def pairs_of_programs(text: str) -> dict[str, list[list[str]]]:
+    """The programs of each section, where the other library's program runs here and both have a `tip`."""
+    sections = [part.split("\n", maxsplit=1) for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]]
+    found = {heading: programs(section) for heading, section in sections}
+    return {heading: pair for heading, pair in found.items() if len(pair) > 1}
+
+
+PAIRS = pairs_of_programs(TEXTS[Path("docs/coming-from.md")])
+
+
+def test_four_libraries_are_compared_by_running_them():
+    assert list(PAIRS) == ["mink", "ruckig", "Pinocchio", "python-control"]
+
+
+@pytest.mark.parametrize("library", PAIRS)
+@pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+def test_two_libraries_bring_the_same_point_to_the_same_place(library: str):
+    theirs, ours = PAIRS[library]
+    try:
+        there = run(theirs, f"{library}, theirs")["tip"]
+        here = run(ours, f"{library}, armctl's")["tip"]
+    except (armctl.UnknownNameError, armctl.ModelError, ImportError) as error:
+        if isinstance(error, ImportError) or MISSING in str(error):
+            pytest.skip(str(error))
+        raise
+    assert here == pytest.approx(there, abs=1e-5)  # m
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=str)
+def test_a_page_hides_no_python_that_its_programs_need(page: Path):
+    assert "<!-- python\n" not in TEXTS[page]
+
+
+def test_a_program_goes_on_only_in_blocks_that_say_so():
+    first, second, other = "a = 1\n", f"{CONTINUES}b = a\n", "b = a\n"
+    page = "".join(f"```python\n{block}```\n" for block in (first, second, other))
+    assert programs(page) == [[first, second], [other]]
+    run([first, second], "complete")
+    with pytest.raises(NameError):
+        run([other], "without its first line")
 
 
 @pytest.mark.parametrize(("page", "link"), LINKS)

@@ -140,7 +140,7 @@ def _sentences(unphysical: Iterable[str], without: dict[str, list[str]]) -> list
     impossible = _listed(list(unphysical))
     notes: list[str] = []
     if impossible:
-        text = f"the inertia of {impossible} is one that no body has: armctl uses the nearest possible one"
+        text = f"the inertia of {impossible} is impossible (ixx > iyy + izz, or negative): armctl uses the nearest possible one"
         notes.append(Note(text, 'correct <inertia ixx="..." ixy="..." .../> of these links from the CAD model'))
     elements = {"mass": _MASS, "inertia": _INERTIA, "mass or inertia": _MASS + _INERTIA}
     for lacks, names in without.items():
