@@ -8,4 +8,5 @@ from .link import MotionLink as MotionLink
 from .link import Reading as Reading
 from .link_check import LinkCheck as LinkCheck
 from .plant_link import PlantLink as PlantLink
+from .ros2 import ROS2 as ROS2
 from .so101 import SO101 as SO101
