@@ -11,6 +11,7 @@ from armctl.envs.batch import Batch
 from armctl.model.mjmodel.target_marker import set_target
 from armctl.report.render.camera import fitted_camera
 from armctl.report.render.renderer import Image, Renderer, check_size
+from armctl.report.render.stick_figure import needed_stick_figure
 
 RENDER_MODES = ("rgb_array", "human")
 
@@ -30,6 +31,7 @@ class Screen:
         self._data = mujoco.MjData(self._arm.model)
         self._width, self._height = check_size((width, height))
         self._renderer: Renderer | None = None
+        self._stick_figure = needed_stick_figure(self._arm)
         self._camera: mujoco.MjvCamera | None = None
         self._viewer = None
         if choice("render_mode", mode, RENDER_MODES) == "human" and hooks.open_viewer is not None:
@@ -54,7 +56,8 @@ class Screen:
         self._data.qpos[:] = state.qpos
         self._data.mocap_pos[:] = state.mocap_pos
         mujoco.mj_forward(self._arm.model, self._data)
-        return self._renderer.image(self._data, self._camera)
+        sticks = None if self._stick_figure is None else self._stick_figure.segments(self._data)
+        return self._renderer.image(self._data, self._camera, sticks=sticks)
 
     def show(self) -> None:
         """Shows the state on the page, and waits until the wall clock reaches it."""

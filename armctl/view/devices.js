@@ -1,9 +1,11 @@
-// Says once whether the browser draws with a graphics card. Then sends the velocity that a hand asks for, as long as it holds a
-// key, a gamepad's shoulder button, or the cap of a SpaceMouse.
+// Says once whether the browser draws with a graphics card, and how many meshes it draws whenever that changes. Sends the
+// velocity that a hand asks for, as long as it holds a key, a gamepad's shoulder button, or the cap of a SpaceMouse.
 (() => {
   const ADDRESS = `${location.origin.replace("http", "ws")}/devices`;
   const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
   const INTERVAL_MS = 40;
+  const REPORT_INTERVAL_MS = 250;
+  const MIN_MESH_INDICES = 36; // of a box; lines and letters are instances, too, with fewer
   const DEAD_ZONE = 0.15;
   const SPACE_MOUSE_FULL = 350; // counts at full deflection
   const REPORT_LIFETIME_MS = 150; // a device that was unplugged sends none
@@ -20,11 +22,40 @@
   const names = context?.getExtension("WEBGL_debug_renderer_info");
   const renderer = names ? context.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
   context?.getExtension("WEBGL_lose_context")?.loseContext();
-  const report = new WebSocket(ADDRESS);
-  report.onopen = () => {
-    report.send(JSON.stringify(renderer !== "" && !SOFTWARE.test(renderer)));
-    report.close();
+  const say = (value) => {
+    const report = new WebSocket(ADDRESS);
+    report.onopen = () => {
+      report.send(JSON.stringify(value));
+      report.close();
+    };
   };
+  say(renderer !== "" && !SOFTWARE.test(renderer));
+
+  // viser says nowhere when it has read and drawn a mesh. It draws the meshes of moving bodies as instances.
+  const { clear, drawElementsInstanced } = WebGL2RenderingContext.prototype;
+  let counted = 0; // since the last clear
+  let drawn = 0; // most between two clears, since the last report
+  let isNew = false;
+  WebGL2RenderingContext.prototype.drawElementsInstanced = function (mode, count, ...rest) {
+    if (count >= MIN_MESH_INDICES) counted += 1;
+    return drawElementsInstanced.call(this, mode, count, ...rest);
+  };
+  WebGL2RenderingContext.prototype.clear = function (mask) {
+    drawn = Math.max(drawn, counted);
+    counted = 0;
+    isNew = true;
+    return clear.call(this, mask);
+  };
+  let said = -1;
+  setInterval(() => {
+    if (!isNew) return; // a scene that does not change is not drawn
+    const now = Math.max(drawn, counted);
+    counted = 0;
+    drawn = 0;
+    isNew = false;
+    if (now !== said) say(now);
+    said = now;
+  }, REPORT_INTERVAL_MS);
 
   const isTyping = () => /^(INPUT|TEXTAREA|SELECT)$/.test(document.activeElement?.tagName ?? "");
   const release = () => pressed.clear();

@@ -43,6 +43,7 @@ class HandDevices:
         self._shares: Array | None = None
         self._renewed_at = -math.inf
         self._draws_fast: bool | None = None
+        self.meshes_drawn = 0  # of moving bodies, in the picture of the browser that said so last
 
     @property
     def draw_fast(self) -> bool:
@@ -68,18 +69,20 @@ class HandDevices:
                 self._commander = None
 
     def take(self, connection: object, message: str | bytes) -> None:
-        """Takes a message: shares of the full speed along and about x, y, z, each in [-1, 1], or whether a browser draws fast.
-
-        Others are dropped.
+        """Takes a message: shares of the full speed along and about x, y, z, each in [-1, 1], whether a browser draws fast, or
+        how many meshes it draws. Others are dropped.
         """
         if len(message) > _MAX_MESSAGE_CHARACTERS:
             return
         try:
-            shares = msgspec.json.decode(message, type=_Shares | bool)
+            shares = msgspec.json.decode(message, type=_Shares | bool | int)
         except (msgspec.MsgspecError, ValueError):
             return
         if isinstance(shares, bool):
             self._draws_fast = shares and self._draws_fast is not False
+            return
+        if isinstance(shares, int):
+            self.meshes_drawn = shares
             return
         if not all(map(math.isfinite, shares)) or (self._commander is not connection and self.velocity is not None):
             return

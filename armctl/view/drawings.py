@@ -1,4 +1,4 @@
-"""What moves in the scene: the path of the tip over the last seconds as a line, and forces at contacts as arrows."""
+"""What moves in the scene: the path of the tip over the last seconds, a stick figure, and forces at contacts as arrows."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ _MIN_STEP_M = 2e-3
 _MAX_STEP_M = 0.1  # a longer step is a reset, not a motion
 _THICKNESS_PX = 3.0
 _TRAIL_RGB = (255, 190, 0)
+_STICK_RGB = (52, 58, 64)
+_STICK_THICKNESS_PX = 5.0
+_STICK_DOT_M = 0.02
 M_PER_N = 0.01
 MAX_LENGTH_M = 0.3
 _MIN_FORCE_N = 0.05
@@ -54,6 +57,40 @@ class TipTrail:
         if self._has_changed:
             self._has_changed = False
             self._line.points = self._segments.copy()
+
+
+class Sticks:
+    """A robot as lines from joint to joint, with dots at its joints: browsers draw these at once."""
+
+    def __init__(self, scene: viser.SceneApi, root: str, segments: Array):
+        """A stick figure with lines between (k, 2, 3) m, below the scene node `root`."""
+        ends = segments.astype(np.float32)
+        self._lines = scene.add_line_segments(
+            f"{root}/lines", ends, _STICK_RGB, thickness=_STICK_THICKNESS_PX, thickness_units="screen"
+        )
+        self._dots = scene.add_point_cloud(
+            f"{root}/dots", ends[:, 1], _STICK_RGB, point_size=_STICK_DOT_M, point_shape="circle"
+        )
+
+    @property
+    def visible(self) -> bool:
+        return bool(self._lines.visible)
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        if visible != self._lines.visible:
+            self._lines.visible = visible
+            self._dots.visible = visible
+
+    def move(self, segments: Array) -> None:
+        """The lines are between (k, 2, 3) m now."""
+        ends = segments.astype(np.float32)
+        self._lines.points = ends
+        self._dots.points = ends[:, 1]
+
+    def remove(self) -> None:
+        self._lines.remove()
+        self._dots.remove()
 
 
 class ContactArrows:

@@ -5,11 +5,12 @@ import copy
 import mujoco
 import numpy as np
 
+from armctl.report.render.stick_figure import drawn_geoms
+
 # Of the model's extent: vertices in one cell become one. Coarse meshes are loaded first.
 FINE_CELL = 5e-4
 PLAIN_CELL = 5e-3  # for a browser without graphics card, which draws more pictures a second of these
 COARSE_CELL = 1.2e-2
-_MAX_DRAWN_GROUP = 2  # MuJoCo draws the geoms of groups 0 to 2 by default; collision shapes are in the others
 _HIDDEN_SITE_GROUP = 5
 _CELL_KEY_WEIGHTS = np.array([1 << 42, 1 << 21, 1])  # makes one integer of three cell indices below 2^21
 
@@ -20,7 +21,7 @@ def decimated(model: mujoco.MjModel, cell: float = FINE_CELL, hidden_body: int =
     Vertices are clustered in cells of `cell` times the extent (Rossignac and Borrel, 1993).
     """
     model = copy.copy(model)
-    hidden = (model.geom_group > _MAX_DRAWN_GROUP) | (model.geom_bodyid == hidden_body)
+    hidden = ~drawn_geoms(model) | (model.geom_bodyid == hidden_body)
     model.geom_rgba[hidden, 3] = 0.0
     model.site_group[:] = _HIDDEN_SITE_GROUP
     model.mesh_polynum[:] = 0

@@ -10,6 +10,7 @@ import numpy as np
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
 from armctl.core.validation import Array
+from armctl.report.render.stick_figure import NO_SHAPES, has_shapes
 from armctl.view.charts import Charts
 from armctl.view.drawings import ContactArrows
 from armctl.view.long_panels import ComparisonPanel, ReachabilityPanel
@@ -53,6 +54,7 @@ class Panel:
         self._session = session
         self._text = text
         self._target = target
+        self._shape_note = "" if has_shapes(session.arm) else f"*{NO_SHAPES[0].upper()}{NO_SHAPES[1:]}.*"
         self._joints_moved_at = -np.inf
         self._joint_command: Array | None = None
         self._payload_worker = LatestWorker("armctl payload")  # a new payload compiles a model
@@ -74,7 +76,7 @@ class Panel:
         samples = self._session.history.read()
         refused = status.activity in (Activity.BLOCKED, Activity.OUT_OF_REACH)
         hint = _ORIENTATION_HINT if is_only_orientation_out_of_reach(status) else _REFUSED_HINT if refused else _HINT
-        lines = [notice, f"**{describe(status)}**", describe_contacts(status), hint]
+        lines = [notice, f"**{describe(status)}**", describe_contacts(status), hint, self._shape_note]
         self._text.content = "\n\n".join(line for line in lines if line)
         self._readings.content = readings(samples, self._session.arm.joint_names, status.real_time_factor * status.speed)
         self._contact_arrows.show(status.contacts)

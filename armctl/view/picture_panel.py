@@ -13,8 +13,10 @@ import numpy as np
 
 from armctl.core.errors import ArmctlError
 from armctl.core.latest_worker import LatestWorker
+from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.report.render.renderer import Renderer
+from armctl.report.render.stick_figure import needed_stick_figure
 from armctl.report.render.video import pose, write_mp4
 from armctl.view.realtime.session import RealTimeSession
 from armctl.view.realtime.status import Status
@@ -39,6 +41,7 @@ class PicturePanel:
     def __init__(self, server: viser.ViserServer, session: RealTimeSession):
         self._server = server
         self._session = session
+        self._stick_figure = needed_stick_figure(session.arm)
         self._worker = LatestWorker("armctl pictures")
         self._film: deque[Status] | None = None
         with server.gui.add_folder("Pictures", expand_by_default=False):
@@ -97,7 +100,7 @@ class PicturePanel:
         data = mujoco.MjData(arm.model)
         _pose(arm, data, status)
         with Renderer(arm.model, _SCREENSHOT_PX, "full") as renderer:
-            image = renderer.image(data, camera)
+            image = renderer.image(data, camera, sticks=self._sticks(data))
         file = io.BytesIO()
         Image.fromarray(np.ascontiguousarray(image)).save(file, "png")
         return file.getvalue()
@@ -111,10 +114,13 @@ class PicturePanel:
             def images():
                 for status in film:
                     _pose(arm, data, status)
-                    yield renderer.image(data, camera)
+                    yield renderer.image(data, camera, sticks=self._sticks(data))
 
             write_mp4(file, images(), _FRAMES_PER_SECOND, _FILM_PX)
         return file.getvalue()
+
+    def _sticks(self, data: mujoco.MjData) -> Array | None:
+        return None if self._stick_figure is None else self._stick_figure.segments(data)
 
 
 def _pose(arm: Arm, data: mujoco.MjData, status: Status) -> None:

@@ -24,7 +24,9 @@ from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.mjmodel.target_marker import find_target, is_movable
 from armctl.report.render.camera import axes, fitted_camera
+from armctl.report.render.stick_figure import StickFigure, drawn_geoms, has_shapes
 from armctl.view.access_control import AccessControl, check_token
+from armctl.view.drawings import Sticks
 from armctl.view.mesh_decimation import COARSE_CELL, FINE_CELL, PLAIN_CELL, decimated
 
 if TYPE_CHECKING:
@@ -33,11 +35,16 @@ if TYPE_CHECKING:
 PORT = 8080
 DRAW_INTERVAL_S = 1 / 30
 _REFINE_DELAY_S = 8.0  # after the first client: it gets coarse meshes first, so that it answers clicks soon
+_STICKS_S = 60.0  # for which a stick figure stands in for meshes that a browser has not drawn yet
+_MIN_DRAWN_SHARE = 0.5  # of the bodies with meshes; equal bodies are drawn as one
 _MIN_MOTION = 1e-6  # rad, m: smaller changes are not drawn
+_SAME_VIEW_M = 1e-3
 _FIELD_OF_VIEW_DEG = 45.0  # vertical
 _DISTANCE_FACTOR = 1.15
-_PORTRAIT_ASPECT = 0.8  # width over height: in a narrower picture the arm is drawn smaller, and above the panel
-_PANEL_SHARE = 0.45  # of the height of a narrow page
+_NARROW_ASPECT = 0.8  # width over height: in a narrower picture the arm is drawn smaller
+_PHONE_ASPECT = 0.6  # in a still narrower one it is drawn above the panel
+_PANEL_SHARE = 0.45  # of the height of a phone
+_HANDLES_M = np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.2]])  # from the target: handles, and the label above
 _SKY_TOP_RGB = (128.0, 145.0, 162.0)
 _SKY_BOTTOM_RGB = (176.0, 188.0, 200.0)
 _SKY_HEIGHT_PX = 256
@@ -78,6 +85,9 @@ class _Drawing:
     data: mujoco.MjData
     hidden_body: int  # which the page does not show; -1: none
     not_refined: mujoco.MjModel | None  # from which finer meshes are made; None: they are fine
+    figure: StickFigure
+    sticks: Sticks
+    bodies: int  # that move and have meshes; 0: the stick figure is all that there is to see
 
 
 class WebScene:
@@ -123,13 +133,14 @@ class WebScene:
         self._latest: _ShownState | None = None
         self._shown = threading.Event()
         self._drawn: _ShownState | None = None
+        self._sticks_until = 0.0  # s, of the monotonic clock
         self._client_connected = threading.Event()
         self._closing = threading.Event()
         self.server.on_client_connect(self._note_client)
         self._thread = threading.Thread(target=self._run, name="armctl drawing", daemon=True)
 
     async def _note_client(self, client: viser.ClientHandle) -> None:
-        self._fit_portrait(client)
+        self._await_meshes()
         self._client_connected.set()
 
     def open_browser(self) -> bool:
@@ -139,15 +150,30 @@ class WebScene:
 
     def set(self, arm: Arm, others: Sequence[Arm] = (), *, with_marker: bool = True) -> None:
         """Puts an arm at home on the page in place of the one there; the first view shows the others, too."""
-        import mjviser
-
         target = find_target(arm.model)
         hidden_body = -1 if with_marker or target is None else target
+        figure = StickFigure(arm)
+        at_home = mujoco.MjData(arm.model)
+        at_home.qpos[:] = arm.home_qpos
+        mujoco.mj_kinematics(arm.model, at_home)
+        sticks = Sticks(self.server.scene, "/sticks", figure.segments(at_home))  # they replace those of the arm before
+        self._set_camera(arm, others, at_home)
+        self.server.gui.set_panel_label(arm.name)
+        self._await_meshes()
+        self.server.flush()  # the stick figure is there at once; the meshes take longer
+        import mjviser
+
         coarse = decimated(arm.model, COARSE_CELL, hidden_body)
         with self._drawing_lock:
-            self._drawing = _Drawing(model=coarse, data=mujoco.MjData(coarse), hidden_body=hidden_body, not_refined=arm.model)
-            self._set_camera(arm, others)
-            self.server.gui.set_panel_label(arm.name)
+            self._drawing = _Drawing(
+                model=coarse,
+                data=mujoco.MjData(coarse),
+                hidden_body=hidden_body,
+                not_refined=arm.model,
+                figure=figure,
+                sticks=sticks,
+                bodies=_drawn_bodies(coarse) if has_shapes(arm) else 0,
+            )
             self._drawn = None
             self.show(arm.home_qpos)
             if self._thread.is_alive():
@@ -208,11 +234,25 @@ class WebScene:
             try:
                 with self._drawing_lock:
                     self._lamps[0].cast_shadow = self.devices.draw_fast
+                    self._show_sticks()
+                    self._fit_narrow_pages()
                     if refine_at is not None and time.monotonic() > refine_at:
                         self._refine()
                     self.draw()
             except Exception:  # the drawing continues with the next state
                 _log.exception("the page could not draw the scene")
+
+    def _await_meshes(self) -> None:
+        self._sticks_until = time.monotonic() + _STICKS_S
+
+    def _show_sticks(self) -> None:
+        """Shows the stick figure until a browser has drawn the meshes, and always if there are none."""
+        drawing = self._drawing
+        are_drawn = self.devices.meshes_drawn >= _MIN_DRAWN_SHARE * drawing.bodies or time.monotonic() > self._sticks_until
+        was_visible = drawing.sticks.visible
+        drawing.sticks.visible = not are_drawn or not drawing.bodies
+        if drawing.sticks.visible and not was_visible:
+            drawing.sticks.move(drawing.figure.segments(drawing.data))
 
     def _refine(self) -> None:
         """Replaces the coarse meshes of an arm by finer ones, once."""
@@ -221,6 +261,7 @@ class WebScene:
             cell = FINE_CELL if self.devices.draw_fast else PLAIN_CELL
             drawing.model = decimated(drawing.not_refined, cell, drawing.hidden_body)
             drawing.not_refined = None
+            self._await_meshes()
             self._scene.mj_model = drawing.model
             self._scene.rebuild_visual_handles()
             if self._latest is None:
@@ -240,20 +281,19 @@ class WebScene:
         mujoco.mj_kinematics(self._drawing.model, data)
         with self.server.atomic():
             self._scene.update_from_mjdata(data)
+            if self._drawing.sticks.visible:
+                self._drawing.sticks.move(self._drawing.figure.segments(data))
         self.server.flush()
 
-    def _set_camera(self, arm: Arm, others: Sequence[Arm]) -> None:
-        """Points the page's first view at the arms and the target."""
-        model = self._drawing.model
-        data = self._drawing.data
-        data.qpos[:] = arm.home_qpos
-        mujoco.mj_kinematics(model, data)
+    def _set_camera(self, arm: Arm, others: Sequence[Arm], data: mujoco.MjData) -> None:
+        """Points the page's first view at the arms and the target, which are where a state of the model has them."""
+        model = arm.model
         points = [data.xpos[model.dof_bodyid[other.dof_adr[0]]] for other in others]
         points += [each.fk(each.home).position for each in (*others, arm)]
         target = find_target(model)
         if target is not None:
-            points.append(data.xpos[target])
-        view = fitted_camera(arm, [data], np.array(points), 0.8)
+            points += [data.xpos[target], *(data.xpos[target] + _HANDLES_M)]
+        view = fitted_camera(arm, [data], np.array(points), _NARROW_ASPECT)
         forward, _, up = axes(*np.radians([view.azimuth, view.elevation]))
         model_fov = np.radians(model.vis.global_.fovy)
         fov = np.radians(_FIELD_OF_VIEW_DEG)
@@ -263,20 +303,32 @@ class WebScene:
         camera.position = view.lookat - distance * forward
         camera.fov = fov
         self._view = _View(np.array(view.lookat), forward, up, distance, fov)
-        for client in self.server.get_clients().values():
-            self._fit_portrait(client)
 
-    def _fit_portrait(self, client: viser.ClientHandle) -> None:
-        """Gives a client with a narrow page a view that shows the whole arm above the panel."""
+    def _fit_narrow_pages(self) -> None:
+        """Gives clients with a narrow page a view that shows the whole arm, above the panel of a phone.
+
+        A browser goes to the first view of all pages when it has read that, at some time, and when a visitor resets the view.
+        """
+        for client in self.server.get_clients().values():
+            if np.allclose(client.camera.position, self.server.initial_camera.position, atol=_SAME_VIEW_M):
+                self._fit_narrow_page(client)
+
+    def _fit_narrow_page(self, client: viser.ClientHandle) -> None:
         view = self._view
         aspect = client.camera.image_width / client.camera.image_height
-        if view is None or aspect >= _PORTRAIT_ASPECT:
+        if view is None or aspect >= _NARROW_ASPECT:
             return
-        distance = view.distance * _PORTRAIT_ASPECT / aspect
-        below = _PANEL_SHARE * distance * np.tan(0.5 * view.fov)
+        distance = view.distance * _NARROW_ASPECT / aspect
+        below = _PANEL_SHARE * distance * np.tan(0.5 * view.fov) if aspect < _PHONE_ASPECT else 0.0
         look_at = view.look_at - below * view.up
         client.camera.position = look_at - distance * view.forward  # this moves the point that the camera looks at
         client.camera.look_at = look_at
+
+
+def _drawn_bodies(model: mujoco.MjModel) -> int:
+    """How many bodies move and have a geom that is drawn."""
+    bodies = np.unique(model.geom_bodyid[drawn_geoms(model)])
+    return int(((model.body_weldid[bodies] > 0) & (model.body_mocapid[model.body_rootid[bodies]] < 0)).sum())
 
 
 def _missing(module: str | None) -> NotInstalledError:

@@ -174,6 +174,12 @@ def test_the_page_shows_the_arm_and_says_what_it_does(page: Page, tab):
     assert page.session.status.real_time_factor > 0.0
 
 
+def test_the_browser_says_that_the_arm_is_drawn_and_the_stick_figure_goes(page: Page, tab):
+    drawing = page.scene._drawing
+    until(lambda: tab.wait_for_timeout(20) or not drawing.sticks.visible, "the stick figure stays")
+    assert page.scene.devices.meshes_drawn > 0
+
+
 def test_dragging_the_target_with_the_mouse_brings_the_tip_there(page: Page, tab):
     arrives(page)
     before = page.session.status.target.position.copy()

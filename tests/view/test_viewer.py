@@ -100,7 +100,7 @@ def test_the_tab_shows_the_title_and_a_narrow_page_the_whole_arm(watched: Simula
     wide = scene._view
     cameras = [SimpleNamespace(image_width=width, image_height=844, position=None, look_at=None) for width in (390, 1280)]
     for camera in cameras:
-        scene._fit_portrait(SimpleNamespace(camera=camera))
+        scene._fit_narrow_page(SimpleNamespace(camera=camera))
     phone, desktop = cameras
     assert np.linalg.norm(phone.look_at - phone.position) > 1.5 * wide.distance
     assert phone.look_at[2] < wide.look_at[2]
@@ -122,6 +122,54 @@ def test_coarse_meshes_come_first_and_fine_ones_replace_them():
         assert scene._scene.mj_model is scene._drawing.model
         assert len(scene._scene._mesh_groups) == groups
         scene._refine()
+    finally:
+        scene.close()
+
+
+def test_a_stick_figure_stands_in_until_a_browser_has_drawn_the_meshes():
+    scene = WebScene(0)
+    try:
+        scene.set(arm_of(BUNDLED))
+        sticks = scene._drawing.sticks
+
+        def is_shown(meshes_drawn: int) -> bool:
+            scene.devices.take(None, str(meshes_drawn))
+            scene._show_sticks()
+            return sticks.visible
+
+        assert scene._drawing.bodies > 1
+        assert [is_shown(drawn) for drawn in (0, scene._drawing.bodies, 0)] == [True, False, True]
+        scene._sticks_until = 0.0
+        assert not is_shown(0), "a browser that never says what it draws keeps the stick figure"
+        scene._refine()
+        assert is_shown(0), "while finer meshes are read, none are there"
+    finally:
+        scene.close()
+
+
+def test_a_stick_figure_follows_the_arm_while_it_is_shown():
+    arm = arm_of(BUNDLED)
+    scene = WebScene(0)
+    try:
+        scene.set(arm)
+        q = arm.home + 0.4
+        scene.show(arm.qpos(q))
+        scene.draw()
+        ends = scene._drawing.sticks._lines.points
+        assert np.abs(ends - arm.fk(q).position).max(axis=2).min() < 1e-6
+    finally:
+        scene.close()
+
+
+def test_an_arm_without_shapes_stays_a_stick_figure():
+    model = mjcf(limb("a b c").replace("<geom ", '<geom group="3" '), motors("a b c"))
+    scene = WebScene(0)
+    try:
+        scene.set(armctl.load(mujoco.MjModel.from_xml_string(model)))
+        scene.devices.take(None, "20")
+        scene._sticks_until = 0.0
+        scene._show_sticks()
+        assert scene._drawing.sticks.visible
     finally:
         scene.close()
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
+from armctl.report.render.stick_figure import StickFigure, drawn_geoms, has_shapes
 
 _MARGIN = 1.08  # width of the picture over width of its contents
 _TURNS_RAD = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from the model's own azimuth
@@ -38,10 +39,15 @@ def fitted_camera(arm: Arm, states: Sequence[mujoco.MjData], path: Array, aspect
 
 
 def box_corners(arm: Arm, data: mujoco.MjData) -> Array:
-    """(8 k, 3) m, the corners of the bounding boxes of the k visible geoms of a robot, after forward kinematics."""
+    """(k, 3) m, the corners of the bounding boxes of the visible geoms of a robot, after forward kinematics.
+
+    Of a robot without shapes, these are the ends of its stick figure.
+    """
+    if not has_shapes(arm):
+        return StickFigure(arm).segments(data).reshape(-1, 3)
     model = arm.model
     root = model.body_rootid[model.jnt_bodyid[model.dof_jntid[arm.dof_adr[0]]]]
-    drawn = (model.geom_group < 3) & (model.geom_rgba[:, 3] > 0) & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE))
+    drawn = drawn_geoms(model) & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE))
     geoms = np.flatnonzero(drawn & (model.body_rootid[model.geom_bodyid] == root))
     center = model.geom_aabb[geoms, :3]
     half = model.geom_aabb[geoms, 3:]

@@ -7,6 +7,7 @@ import ctypes.util
 import importlib
 import os
 import sys
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Protocol
 
@@ -24,6 +25,8 @@ MAX_PIXELS = 8192  # OpenGL promises renderbuffers of this size, or hardly less
 
 _TRACE_COLOR = np.array([0.902, 0.624, 0.0, 1.0], np.float32)  # orange of Okabe and Ito, as in the plots
 _TRACE_RADIUS = 0.0025  # of the model's extent
+_STICK_COLOR = np.array([0.75, 0.78, 0.82, 1.0], np.float32)
+_STICK_RADIUS = 0.0075  # of the model's extent
 _MAX_TRACE_SEGMENTS = 400
 _MIN_TRACE_SEGMENT_M = 5e-4
 _MIN_TRACE_LENGTH_M = 1e-6
@@ -53,7 +56,7 @@ class Renderer:
         self._model.vis.global_.offheight = self.height
         self._model.vis.quality.offsamples = 0 if self._fast else 4
         self._option = mujoco.MjvOption()
-        self._scene = mujoco.MjvScene(self._model, maxgeom=max(1000, 2 * model.ngeom) + _MAX_TRACE_SEGMENTS)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=max(1000, 2 * model.ngeom) + _MAX_TRACE_SEGMENTS + model.nbody)
         self._context: mujoco.MjrContext | None = None
         self._gl = gl_context(self.width, self.height)
         self._gl.make_current()
@@ -78,14 +81,21 @@ class Renderer:
             self._gl.free()
             self._context = None
 
-    def image(self, data: mujoco.MjData, camera: mujoco.MjvCamera, trace: Array | None = None) -> Image:
-        """Draws a state, after forward kinematics: (height, width, 3). `trace` (k, 3) m is a path to draw as a line."""
+    def image(
+        self, data: mujoco.MjData, camera: mujoco.MjvCamera, trace: Array | None = None, sticks: Array | None = None
+    ) -> Image:
+        """Draws a state, after forward kinematics: (height, width, 3).
+
+        `trace` (k, 3) m is a path to draw as a line, `sticks` (k, 2, 3) m are the ends of the lines of a stick figure.
+        """
         if self._context is None:
             raise InputError("renderer: it is closed; make another")
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)
         mujoco.mjv_updateScene(self._model, data, self._option, None, camera, everything, self._scene)
         if trace is not None:
-            self._add_trace(trace)
+            self._add_capsules(pairwise(thinned(trace, _MAX_TRACE_SEGMENTS)), _TRACE_RADIUS, _TRACE_COLOR)
+        if sticks is not None:
+            self._add_capsules(sticks, _STICK_RADIUS, _STICK_COLOR)
         if self._fast:
             self._scene.flags[[int(mujoco.mjtRndFlag.mjRND_SHADOW), int(mujoco.mjtRndFlag.mjRND_REFLECTION)]] = 0
         out = np.empty((self.height, self.width, 3), np.uint8)
@@ -95,16 +105,16 @@ class Renderer:
         mujoco.mjr_readPixels(out, None, whole, self._context)
         return out[::-1]
 
-    def _add_trace(self, points: Array) -> None:
-        """Adds capsules between points, as many as a picture can show."""
-        radius = _TRACE_RADIUS * min(self._model.stat.extent, 2.0)
+    def _add_capsules(self, ends: Iterable[Sequence[Array]], radius: float, color: NDArray[np.float32]) -> None:
+        """Adds capsules between two points each, as many as a picture can show; the radius is that of an extent of 1 m."""
+        radius *= min(self._model.stat.extent, 2.0)
         scene = self._scene
         capsule = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-        for start, end in pairwise(thinned(points, _MAX_TRACE_SEGMENTS)):
+        for start, end in ends:
             if scene.ngeom == scene.maxgeom:
                 return
             geom = scene.geoms[scene.ngeom]
-            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _TRACE_COLOR)
+            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), color)
             mujoco.mjv_connector(geom, capsule, radius, start, end)
             geom.emission = 0.3
             geom.specular = 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import copy
 import os
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import repeat
@@ -16,7 +17,7 @@ import numpy as np
 
 from armctl.core.atomic import atomic_path, file_path
 from armctl.core.defaults import FILM_ENDINGS
-from armctl.core.errors import InputError, import_extra
+from armctl.core.errors import ArmctlWarning, InputError, import_extra
 from armctl.core.log import Log
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, choice, instance, number
@@ -24,6 +25,7 @@ from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.mjmodel.target_marker import find_target, set_target
 from armctl.report.render.camera import fitted_camera
 from armctl.report.render.renderer import QUALITIES, Image, Renderer, check_size
+from armctl.report.render.stick_figure import NO_SHAPES, has_shapes, needed_stick_figure
 
 _FRAMES_PER_SECOND = {".mp4": 30, ".gif": 25}  # a GIF counts hundredths of a second
 _LAST_FRAME_S = 1.0
@@ -61,7 +63,8 @@ def record(
 
     The camera is placed so that the whole run is visible. Frames are 1/30 s apart in an .mp4, 1/25 s in a .gif. The last frame
     stays for one second, and longer in a film that would last less than three. The file is written atomically; a progress bar
-    appears on a terminal after two seconds.
+    appears on a terminal after two seconds. An arm without visible shapes is drawn as a stick figure, and an ArmctlWarning
+    says so.
 
     Args:
         log: The run, or the runs; all with the same tick.
@@ -113,6 +116,8 @@ def still(
 ) -> Path:
     """Draws one instant of a run, with the path of the tip until then. The file is written atomically.
 
+    An arm without visible shapes is drawn as a stick figure, and an ArmctlWarning says so.
+
     Args:
         arm: The arm of this run.
         path: The picture, .png; its folder is made.
@@ -157,10 +162,11 @@ def images(logs: Sequence[Log], arm: Arm, times: Array, size: tuple[int, int], q
     states = [_state(arm, qpos[k], targets[k]) for k in np.linspace(0, len(qpos) - 1, _STATES_IN_VIEW).astype(int)]
     camera = fitted_camera(arm, states, np.concatenate([tip, targets[-1:, :3]]), size[0] / size[1])
     data = states[-1]
+    figure = needed_stick_figure(arm)
     with Renderer(model, size, quality) as renderer:
         for k in np.rint(np.clip(times / logs[0].dt, 0, len(qpos) - 1)).astype(int):
             pose(arm, data, qpos[k], targets[k])
-            yield renderer.image(data, camera, tip[: k + 1])
+            yield renderer.image(data, camera, tip[: k + 1], None if figure is None else figure.segments(data))
 
 
 def _check(logs: Sequence[Log], arm: Arm) -> None:
@@ -177,6 +183,8 @@ def _check(logs: Sequence[Log], arm: Arm) -> None:
             raise InputError(f"log: it is of a model with {log.qpos.shape[1]} positions, {arm!r:.80} has {arm.model.nq}")
     if len({log.dt for log in logs}) > 1:
         raise InputError("log: the runs have different ticks, so they cannot be one film")
+    if not has_shapes(arm):
+        warnings.warn(ArmctlWarning(f"{arm.name}: {NO_SHAPES}"), stacklevel=3)
 
 
 def _target(log: Log) -> Array:
