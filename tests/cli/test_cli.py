@@ -330,7 +330,7 @@ def test_margins_are_a_table_and_a_page(capsys, tmp_path):
         assert figures["delay"]["value"] == again.delay.value
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_compare_shows_every_controller(capsys):
     status, out, _ = run(capsys, "compare", BUNDLED, "--controllers", "all")
     assert status == 0
@@ -438,7 +438,7 @@ def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
     assert {f"comparison.{ending}" for ending in ("html", "json", "md")} <= {path.name for path in tmp_path.iterdir()}
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_compare_tunes_controllers_to_one_delay_margin(capsys):
     chosen = ("--controllers", "computed-torque,computed-torque-textbook", "--configurations", "2", "--threads", "1")
     _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--json")
@@ -450,7 +450,7 @@ def test_compare_tunes_controllers_to_one_delay_margin(capsys):
     assert out.startswith("computed-torque-textbook has its default gains: it has no gains to tune")
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_compare_saves_every_run_in_files_of_its_own(capsys, tmp_path):
     plants = "friction=0.01,friction=0.05"
     status, _, err = run(capsys, "compare", BUNDLED, "--plants", plants, "--out", str(tmp_path), "--threads", "1")

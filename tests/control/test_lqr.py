@@ -113,7 +113,7 @@ def test_the_default_margins_hold_and_a_longer_one_is_asked_for(six):
     assert max(default.peak_sensitivity.value, slow.peak_sensitivity.value) <= 1.7
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_tuning_yields_less_to_disturbances(six):
     tuned = armctl.tune(six, "lqr", configurations=2, plants=[armctl.Plant(timestep=0.002)])
     assert tuned, tuned.reason

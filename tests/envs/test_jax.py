@@ -93,7 +93,7 @@ def planar(tmp_path) -> armctl.Arm:
     return serial_arm(tmp_path, BENT["planar"])
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_a_batch_of_closed_loops_is_simulated_and_differentiated(planar):
     trajectory = armctl.move_j(planar, planar.home, planar.home + 0.05)
     reference = aj.tick_reference(trajectory, planar.dt)

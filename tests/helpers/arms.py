@@ -101,25 +101,25 @@ ROBOTS = [BUNDLED, *(_SHORT.get(r.name, r.name) for r in menagerie.robots() if a
 FEW = {BUNDLED, "panda", "unitree_go2", *(path.stem for path in MODELS.iterdir())}
 # Those that `make test-all` runs besides: six joints, five, two arms. The nightly job runs all.
 MORE = {"ur5e", "so_arm100", "aloha", *(f"aloha:{chain}" for chain in CHAINS[:1])}
-NIGHTLY = {*ARMS, *ROBOTS} - FEW - MORE
 
 
-def some_of(names: Iterable, few: Collection = frozenset(FEW), nightly: Collection = frozenset(NIGHTLY)) -> list:
+def some_of(names: Iterable, few: Collection = frozenset(FEW), full: Collection = frozenset(MORE)) -> list:
     """Parameters of a test, of which only a few belong to `make test`.
 
     Args:
         names: All of them.
         few: Those that `make test` runs.
-        nightly: Those that `make test-all` does not run either, unless they are in `few`.
+        full: Those that `make test-all` runs besides. The nightly job runs all.
 
     Returns:
         The names; those that are not in `few` with the mark `full` or `nightly`.
     """
 
+    also = list(full)
+
     def marked(name: object) -> object:
         if name in few:
             return name
-        is_nightly = isinstance(name, str) and name in nightly
-        return pytest.param(name, marks=pytest.mark.nightly if is_nightly else pytest.mark.full)
+        return pytest.param(name, marks=pytest.mark.full if name in also else pytest.mark.nightly)
 
     return [marked(name) for name in names]

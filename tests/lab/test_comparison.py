@@ -55,7 +55,7 @@ def test_every_pair_has_a_report_plant_by_plant(bundled_motion):
     assert reports[1].joint_rms_rad < 1e-9 < reports[0].joint_rms_rad
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_plants_and_controllers_of_one_name_stay_apart(bundled_motion, tmp_path):
     arm, motion = bundled_motion
     plants = [armctl.Plant(coulomb_friction=0.01), armctl.Plant(coulomb_friction=0.05), armctl.Plant(coulomb_friction=0.05)]

@@ -162,7 +162,7 @@ def test_the_variance_of_a_response_is_that_of_repeated_measurements():
     assert np.mean([each.variance for each in found], axis=0) == pytest.approx(scatter, rel=0.1)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @pytest.mark.parametrize("controller", ["pd", "computed-torque"])
 def test_the_lag_of_a_differenced_velocity_is_predicted(arm, controller):
     plant = armctl.Plant(timestep=0.004, continuous=True)

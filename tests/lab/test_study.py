@@ -214,7 +214,7 @@ def test_processes_find_what_one_thread_finds(study, finished, toml, tmp_path, m
     assert digests(study().result(tmp_path)) == digests(finished)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 def test_a_dask_worker_that_is_killed_loses_nothing(study, finished, tmp_path):
     from dask.distributed import Client, LocalCluster

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from arms import some_of
 
 import armctl
 from armctl.lab.comparison_html import write_comparison
@@ -193,9 +194,8 @@ def can_draw() -> bool:
     return True
 
 
-@pytest.mark.full
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", some_of(GROUPS, [], ["logs"]))
 def test_files_survive(tmp_path, group: str):
     if group == "films":
         pytest.importorskip("av", reason="no encoder")
@@ -219,9 +219,8 @@ except armctl.ArmctlError as error:
 """
 
 
-@pytest.mark.full
 @pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
-@pytest.mark.parametrize("limit", [0, 5000, 40_000])
+@pytest.mark.parametrize("limit", some_of([0, 5000, 40_000], [], [5000]))
 def test_a_study_on_a_full_disk_is_one_sentence_and_continues(tmp_path, limit: int):
     command = [sys.executable, "-c", FULL_DISK, str(tmp_path), str(limit)]
     environment = os.environ | {"PYTHONPATH": ":".join(sys.path)}

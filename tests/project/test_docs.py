@@ -109,7 +109,7 @@ def backend() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("backend")
-@pytest.mark.parametrize("page", some_of(PROGRAMS, [page for page in PROGRAMS if page.name not in LONG]), ids=str)
+@pytest.mark.parametrize("page", some_of(PROGRAMS, [page for page in PROGRAMS if page.name not in LONG], PROGRAMS), ids=str)
 @pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     if page.name == "notebooks.md":

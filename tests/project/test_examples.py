@@ -31,7 +31,7 @@ def test_an_example_is_short_and_begins_with_a_sentence(example: Path):
 
 @pytest.mark.parametrize(
     "example",
-    some_of([path for path in EXAMPLES if path not in APART], [path for path in EXAMPLES if path.stem in QUICK]),
+    some_of([path for path in EXAMPLES if path not in APART], [path for path in EXAMPLES if path.stem in QUICK], EXAMPLES),
     ids=lambda path: path.stem,
 )
 @pytest.mark.filterwarnings("default")  # as outside a test

@@ -76,7 +76,7 @@ def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothi
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist())
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_a_source_distribution_holds_the_tests_and_what_they_read(tmp_path: Path):
     call_backend("build_sdist", tmp_path)
     [sdist] = tmp_path.glob("mujoco_armctl-*.tar.gz")

@@ -74,7 +74,7 @@ def test_a_film_shows_the_arm_and_lasts_three_seconds(sim: Simulation, tmp_path:
     assert green(frames[0]).sum() > 20
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @draws
 def test_slow_motion_takes_longer(sim: Simulation, tmp_path: Path):
     assert sim.log is not None
@@ -111,7 +111,7 @@ def test_the_trace_of_the_tip_is_in_the_picture(sim: Simulation):
     assert 50 < changed.sum() < 5000
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 @pytest.mark.skipif(not at_hand("panda"), reason="panda: its model is not installed")
 def test_a_film_shows_what_the_gripper_carries(tmp_path: Path):
     start, down = np.array([0.5, 0.1, 0.02]), [np.pi, 0, 0]

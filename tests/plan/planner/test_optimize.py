@@ -106,7 +106,7 @@ def beside(arm) -> tuple[armctl.Arm, armctl.JointTrajectory]:
     return weak, armctl.move_j(weak, START, goal)
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_weak_motors_move_faster_on_a_path_that_suits_them(beside):
     """Random waypoints saved 0.3 %. Judged by MuJoCo's inverse dynamics and distances at dense samples."""
     arm, straight = beside

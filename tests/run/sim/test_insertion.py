@@ -55,7 +55,7 @@ def test_the_peg_is_found_and_inserted(arm):
     assert run.tilt < 2 * insertion.GAP_M / insertion.DEPTH_M + 1e-3
 
 
-@pytest.mark.full
+@pytest.mark.nightly
 def test_a_peg_that_misses_the_hole_finds_it_from_another_side(arm):
     run = insertion.insert(arm, HOLE, seed=0, offset=6e-3, continuous=False)
     assert run.attempts > 1

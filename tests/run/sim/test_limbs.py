@@ -55,7 +55,7 @@ LIMBS = {
 }
 
 
-@pytest.fixture(scope="module", params=some_of(LIMBS, ["unitree_go2/go2"], ["unitree_go1/go1", "anybotics_anymal_c/anymal_c"]))
+@pytest.fixture(scope="module", params=some_of(LIMBS, ["unitree_go2/go2"], ["wonik_allegro/right"]))
 def robot(request: pytest.FixtureRequest) -> armctl.Arm:
     """All arms, legs or fingers of a robot."""
     if not at_hand(request.param.partition("/")[0]):
