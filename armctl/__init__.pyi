@@ -151,6 +151,8 @@ from .plan.planner.move_free import move_free as move_free
 from .plan.planner.optimize import MotionMeasures as MotionMeasures
 from .plan.planner.optimize import OptimizedMotion as OptimizedMotion
 from .plan.planner.optimize import optimize as optimize
+from .plan.stream.admission import GateAnswer as GateAnswer
+from .plan.stream.gate import Gate as Gate
 from .plan.stream.stream import Stream as Stream
 from .plan.stream.stream import StreamReport as StreamReport
 from .report.plot import four_panels as four_panels

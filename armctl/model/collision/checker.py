@@ -138,6 +138,10 @@ class CollisionChecker:
         clearances[pair] = np.inf
         return -float(self.near(q, np.zeros(len(q)), 1.0, clearances).distances[0])
 
+    def distance(self, q: Array, pair: int) -> float:
+        """m between the two of a pair at q (n,), negative where they overlap."""
+        return -self.depth(q, pair)
+
     def near(self, q: Array, moves: Array, share: float, clearances: Array) -> NearPairs:
         """The pairs that a motion by at most `moves` (n,) rad can bring nearer by more than a share of what is free.
 

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
+from armctl.model.collision.checker import CollisionChecker
 from armctl.plan.motion.checks import limits_from
 from armctl.plan.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.plan.motion.torque_limits import InverseDynamics
 from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE, each_inside, is_inside
 from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, basis, hermite, joined, quintics, sample
+from armctl.plan.stream.refusal import Refusal, contact_refusal
 from armctl.plan.stream.timed_targets import Knots
 
-if TYPE_CHECKING:
-    from armctl.model.collision.checker import CollisionChecker
-
+# Paces of the wanted states that are tried where a motion through them is refused, before it is made shorter.
+_PACES = (0.5, 0.25)
 # Factors on acceleration limits that are tried one after another where motors are too weak; squared for jerk.
 _SLOWER = (1.0, 0.5, 0.25)
 _TORQUE_STEP_S = 0.01  # between samples of the torques
@@ -29,15 +29,16 @@ _MIN_SEGMENT_S = 1e-3
 _WAY_SHARES = (0.5, 0.25, 0.12, 0.0)  # of the way to a place that is refused; shorter motions are slower
 
 
-class Refused(NamedTuple):
-    time: float  # s into the motion, when the reason occurs; infinite if that is not known
-    reason: str  # what is in the way, for example
-
-
 class CommittedMotion:
     """Plans motions of an arm that keep all limits and end at rest, and that nobody refuses."""
 
-    def __init__(self, arm: Arm, checker: CollisionChecker | None = None, refusal: Callable[[Pieces], str] | None = None):
+    def __init__(
+        self,
+        arm: Arm,
+        checker: CollisionChecker | None = None,
+        refusal: Callable[[Pieces], str] | None = None,
+        clearance: float = LIVE_CLEARANCE_M,
+    ):
         self._limits = arm.limits
         limits = arm.limits
         self._solvers = [ProfileSolver(limits.v_max, s * limits.a_max, s**2 * limits.j_max) for s in _SLOWER]
@@ -47,31 +48,56 @@ class CommittedMotion:
         self._dynamics = InverseDynamics(arm)
         self._tau_max = (1 - _TORQUE_MARGIN) * limits.tau_max
         self.checker = checker  # proves motions free of contact; None if contacts are allowed
+        self.clearance = clearance  # m, that is proved
         self.refusal = refusal  # why a motion, as polynomials from now on, may not be made; empty if it may. None if all may
-        self.obstacle = ""  # why the last motion that was wanted was refused; empty if it was not
+        self.refused: Refusal | None = None  # why the last motion that was wanted was refused; None if it was not
+
+    @property
+    def obstacle(self) -> str:
+        """Why the last motion that was wanted was refused; empty if it was not."""
+        return "" if self.refused is None else self.refused.what
 
     def plan(self, start: JointState, now: float, knots: Knots) -> Pieces | None:
-        """A motion through the wanted states, over times from 0, that stops before an `obstacle`; None if none was found."""
-        self.obstacle = ""
+        """A motion through the wanted states, over times from 0, that stops before an `obstacle`; None if none was found.
+
+        Where the motion is refused, slower ones through the same states are tried first.
+        """
+        self.refused = None
         for solver in self._solvers:
             pieces = self._motion(solver, start, now, knots)
             if pieces is None or not self._is_feasible(pieces):
                 continue
-            refused = self._refused(pieces)
-            return pieces if refused is None else self._before(refused, solver, start, now, knots)
+            refused = self.refusal_of(pieces)
+            if refused is None:
+                return pieces
+            slower = self._slower(solver, start, now, knots)
+            return slower if slower is not None else self._before(refused, solver, start, now, knots)
         return None
+
+    def through(self, start: JointState, knots: Knots) -> Iterator[Pieces]:
+        """Motions inside the limits through all wanted states but the first ones, and then to rest; now is the time 0."""
+        solver = self._solvers[0]
+        for followed, after in self._followed(start, 0.0, knots):
+            if after == len(knots.t):
+                motion = self._rejoining(solver, start, 0.0, knots, [followed], after)
+                if motion is not None and self._is_feasible(motion):
+                    yield motion
+
+    def wanted(self, start: JointState, knots: Knots) -> Pieces | None:
+        """As `plan`, but the motion is not proved; now is the time 0."""
+        pieces = self._motion(self._solvers[0], start, 0.0, knots)
+        return pieces if pieces is not None and self._is_feasible(pieces) else None
 
     def to_rest(self, start: JointState, goal: Array) -> Pieces | None:
         """The fastest motion to rest at a place (n,); None if it breaks a limit, or is refused for an `obstacle`."""
-        self.obstacle = ""
+        self.refused = None
         state = _lists(start)
         for solver in self._solvers:
             profile = solver.to_rest(state, goal.tolist(), self._q_min, self._q_max)
             if profile is not None and self._is_feasible(profile.pieces(state)):
                 pieces = profile.pieces(state)
-                refused = self._refused(pieces)
-                self.obstacle = "" if refused is None else refused.reason
-                return pieces if refused is None else None
+                self.refused = self.refusal_of(pieces)
+                return pieces if self.refused is None else None
         return None
 
     def stop(self, start: JointState) -> Pieces | None:
@@ -158,26 +184,34 @@ class CommittedMotion:
         # A motor that cannot even hold its joint here must not keep the arm from moving to where it can.
         return bool((torques <= np.maximum(self._tau_max, torques[0])).all())
 
-    def _refused(self, pieces: Pieces) -> Refused | None:
+    def refusal_of(self, pieces: Pieces) -> Refusal | None:
         """Why a motion may not be made; None if it may."""
-        if pieces.knots[-1] == 0.0:
-            return None
-        hit = None if self.checker is None else self.checker.motion_hit(pieces.knots, pieces.coefficients, LIVE_CLEARANCE_M)
-        if self.checker is not None and hit is not None:
-            return Refused(hit.time, self.checker.refusal(hit))
-        reason = "" if self.refusal is None else self.refusal(pieces)
-        return Refused(np.inf, reason) if reason else None
+        refused = contact_refusal(self.checker, pieces, self.clearance)
+        if refused is not None or self.refusal is None or pieces.knots[-1] == 0.0:
+            return refused
+        reason = self.refusal(pieces)
+        return Refusal(reason) if reason else None
 
-    def _before(self, refused: Refused, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
+    def _slower(self, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
+        """The motion through the wanted states at a slower pace, if it is not refused; None if it is."""
+        if not len(knots.t) or not (np.any(start.v) or np.any(start.a)):
+            return None  # from rest, the way is the same at any pace
+        for pace in _PACES:
+            pieces = self._motion(solver, start, now, knots.slowed(pace, now))
+            if pieces is not None and self._is_feasible(pieces) and self.refusal_of(pieces) is None:
+                return pieces
+        return None
+
+    def _before(self, refused: Refusal, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
         """The longest of some beginnings of the motion that end at rest and are not refused; None if there is none."""
-        self.obstacle = refused.reason
+        self.refused = refused
         for shorter in _shorter(knots, start, int(np.searchsorted(knots.t - now, refused.time))):
             # Contact first, because it takes a hundredth of the time.
             moves = (shorter.rest != start.q).any()
-            if moves and self.checker is not None and self.checker.hit(shorter.rest, LIVE_CLEARANCE_M) >= 0:
+            if moves and self.checker is not None and self.checker.hit(shorter.rest, self.clearance) >= 0:
                 continue
             pieces = self._motion(solver, start, now, shorter)
-            if pieces is not None and self._refused(pieces) is None and self._is_feasible(pieces):
+            if pieces is not None and self.refusal_of(pieces) is None and self._is_feasible(pieces):
                 return pieces
         return None
 

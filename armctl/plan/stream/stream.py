@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError
-from armctl.core.pose import Pose, computed_pose, rotation_from_vector
+from armctl.core.pose import Pose, computed_pose
 from armctl.core.target import Target, TargetLike
 from armctl.core.tip_targets import Stay, TipTargets, targets_by_tip
 from armctl.core.trajectory import Setpoint, TickReference
@@ -29,16 +29,14 @@ from armctl.plan.motion.trajectory.path_stop import remaining
 from armctl.plan.motion.trajectory.piecewise import Pieces, basis, standing
 from armctl.plan.stream.committed_motion import CommittedMotion, end_state
 from armctl.plan.stream.timed_targets import Rates, TimedTargets
+from armctl.plan.stream.twist import twist_targets
 
 MAX_TARGETS = 1000  # of a chunk
-_MAX_AHEAD_S = 60.0  # of a target: a later one has a wrong clock
+MAX_AHEAD_S = 60.0  # of a target: a later one has a wrong clock
 _MAX_TICKS = 1_000_000  # in one answer
 _HISTORY_TICKS = 2000  # of past setpoints, with which late targets are compared
 _AT_LIMIT = 0.999  # share of a limit
 _TICKS_PER_LIMIT_CHECK = 8  # a tick takes a third longer with a check
-_TWIST_STEP_S = 0.05  # between the targets into which a velocity of the tip is turned
-_TWIST_STEPS = 4
-_MAX_TWIST = 100.0  # m/s, rad/s: no arm is as fast
 # A joint that turns further for a smaller step of the target changes the posture of the arm.
 _POSTURE_CHANGE = 0.5  # rad (m)
 _STEPS_BY_TIP = 8  # of differential inverse kinematics, from target to target
@@ -332,18 +330,11 @@ class Stream:
         Raises:
             InputError: A wrong length or a number that is not finite; nothing changes.
         """
-        v = np.clip(vector("linear", linear, 3), -_MAX_TWIST, _MAX_TWIST)
-        w = np.clip(vector("angular", angular, 3), -_MAX_TWIST, _MAX_TWIST)
-        q = self.setpoint.q
-        pose = self._arm.fk(q)
-        targets = []
-        for k in range(1, _TWIST_STEPS + 1):
-            turn = rotation_from_vector(w * k * _TWIST_STEP_S)
-            goal = computed_pose(pose.position + v * k * _TWIST_STEP_S, turn @ pose.rotation)
-            q = self._limits.clamp(q + _TWIST_STEP_S * self._ik.step(q, goal, _TWIST_STEP_S))
-            targets.append(q)
-        self._targets.rest_at(q)
-        self.push_chunk(self._t + _TWIST_STEP_S * np.arange(1, _TWIST_STEPS + 1), targets)
+        targets = twist_targets(
+            self._arm, self._ik, self.setpoint.q, vector("linear", linear, 3), vector("angular", angular, 3)
+        )
+        self._targets.rest_at(targets.q[-1])
+        self.push_chunk(self._t + targets.t, targets.q)
 
     def clutch(self, device: Pose) -> None:
         """Takes the pose that a hand-held device has now for the pose that the tip has now, so that neither has to move.
@@ -438,8 +429,8 @@ class Stream:
 
     def _time(self, what: str, t: float) -> float:
         time = number(what, t)
-        if time > self._t + _MAX_AHEAD_S:
-            raise InputError(f"{what}: {time:g} s is more than {_MAX_AHEAD_S:g} s ahead of the stream's time, {self._t:g} s")
+        if time > self._t + MAX_AHEAD_S:
+            raise InputError(f"{what}: {time:g} s is more than {MAX_AHEAD_S:g} s ahead of the stream's time, {self._t:g} s")
         return time
 
     def _clamped(self, targets: Array) -> Array:

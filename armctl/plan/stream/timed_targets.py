@@ -56,6 +56,10 @@ class Knots(NamedTuple):
         none = np.empty((0, len(q)))
         return cls(np.empty(0), none, none, none, q, ())
 
+    def slowed(self, pace: float, now: float) -> Knots:
+        """The same states, passed at a share of their speed from the time `now` on."""
+        return self._replace(t=now + (self.t - now) / pace, v=pace * self.v, a=pace**2 * self.a)
+
 
 class Rates(NamedTuple):
     """What a source says about the motion of its targets."""

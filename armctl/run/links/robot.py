@@ -27,6 +27,7 @@ from armctl.model.loading.load import load
 from armctl.model.mjmodel.target_marker import TARGET
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces, sample
+from armctl.plan.stream.refusal import contact_refusal
 from armctl.run.execution.commands import Commands
 from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
 from armctl.run.execution.follow import MovingTarget
@@ -283,12 +284,8 @@ class Robot(Commands):
         """What a motion touches; empty if it is proved free."""
         checker = self._obstacles.checker()
         checker.require_provable()
-        if pieces.knots[-1] == 0.0:
-            return ""
-        hit = checker.motion_hit(pieces.knots, pieces.coefficients, 0.0)
-        if hit is not None and checker.opens(hit):
-            return checker.refusal(hit)
-        return "" if hit is None else "{} and {} would touch".format(*checker.names(hit.pair))
+        refused = contact_refusal(checker, pieces, 0.0)
+        return "" if refused is None else refused.reason
 
     def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
         if not flag("avoid", avoid) and not self._allows_contact:

@@ -6,6 +6,7 @@ from armctl.core.validation import Array
 from armctl.model.collision.checker import CollisionChecker
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.stream.committed_motion import LIVE_CLEARANCE_M
+from armctl.plan.stream.refusal import contact_refusal
 from armctl.run.execution.obstacles import Obstacles
 
 
@@ -41,9 +42,5 @@ class ContactAvoidance:
 
     def refusal(self, pieces: Pieces) -> str:
         """What a motion would touch; empty if it is free."""
-        if self.checker is None:
-            return ""
-        hit = self.checker.motion_hit(pieces.knots, pieces.coefficients, self._clearance)
-        if hit is not None and self.checker.opens(hit):
-            return self.checker.refusal(hit)
-        return "" if hit is None else "{} and {} would touch".format(*self.checker.names(hit.pair))
+        refused = contact_refusal(self.checker, pieces, self._clearance)
+        return "" if refused is None else refused.what
