@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
+from syntax import nodes_of_text, tree_of_text
 
 import armctl
 
@@ -73,10 +74,10 @@ def is_one_vector(node: ast.expr) -> bool:
     return len(owners) == 1 and len({type(each) for each in elements}) == 1
 
 
-def unclear_statements(tree: ast.AST) -> Iterator[tuple[int, str]]:
+def unclear_statements(nodes: Iterable[ast.AST]) -> Iterator[tuple[int, str]]:
     """Lines that assign several values at once, except swaps and the components of one vector, and lines that multiply a text
     or a list by a condition."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Assign):
             target = node.targets[0]
             literal = isinstance(node.value, ast.Tuple | ast.List | ast.ListComp | ast.GeneratorExp)
@@ -92,7 +93,7 @@ def unclear_statements(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 def test_one_statement_does_one_thing():
     found = [
-        f"{module}:{line}: {code}" for module, text in SOURCES.items() for line, code in unclear_statements(ast.parse(text))
+        f"{module}:{line}: {code}" for module, text in SOURCES.items() for line, code in unclear_statements(nodes_of_text(text))
     ]
     assert not found, "\n".join(found)
 
@@ -111,7 +112,7 @@ def test_one_statement_does_one_thing():
     ],
 )
 def test_an_unclear_statement_is_found(code: str):
-    assert list(unclear_statements(ast.parse(code)))
+    assert list(unclear_statements(nodes_of_text(code)))
 
 
 @pytest.mark.parametrize(
@@ -128,12 +129,12 @@ def test_an_unclear_statement_is_found(code: str):
     ],
 )
 def test_a_clear_statement_is_not(code: str):
-    assert not list(unclear_statements(ast.parse(code)))
+    assert not list(unclear_statements(nodes_of_text(code)))
 
 
 def class_names(text: str) -> list[str]:
     """The names of the classes of a module, without leading underscores."""
-    return [node.name.lstrip("_") for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ClassDef)]
+    return [node.name.lstrip("_") for node in nodes_of_text(text) if isinstance(node, ast.ClassDef)]
 
 
 def test_a_class_name_means_one_class():
@@ -187,7 +188,7 @@ def late_attributes(node: ast.ClassDef, classes: dict[str, ast.ClassDef]) -> lis
 
 
 def classes_of(texts: Iterable[str]) -> dict[str, ast.ClassDef]:
-    return {node.name: node for text in texts for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ClassDef)}
+    return {node.name: node for text in texts for node in nodes_of_text(text) if isinstance(node, ast.ClassDef)}
 
 
 def test_a_class_makes_its_attributes_in_its_constructor():
@@ -237,7 +238,7 @@ def test_tests_import_no_private_names():
     """What tests import is public, and so are the modules it comes from."""
     private = []
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of_text(path.read_text(encoding="utf-8")):
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "armctl":
                 names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
                 private += [f"{path.name}: {name}" for name in names if name.startswith("_") and name != "_core"]
@@ -280,21 +281,19 @@ def is_dataclass(node: ast.ClassDef) -> bool:
 
 def built_by_position(text: str, classes: set[str]) -> list[str]:
     """Calls that build one of these dataclasses, by its name or as `cls` in it, with more than three positional arguments."""
-    tree = ast.parse(text)
-    own = {
-        node for scope in ast.walk(tree) if isinstance(scope, ast.ClassDef) and is_dataclass(scope) for node in ast.walk(scope)
-    }
+    nodes = nodes_of_text(text)
+    own = {node for scope in nodes if isinstance(scope, ast.ClassDef) and is_dataclass(scope) for node in ast.walk(scope)}
     return [
         ast.unparse(node)
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) > 3
         if node.func.id in classes or (node.func.id == "cls" and node in own)
     ]
 
 
 def test_a_dataclass_of_more_than_three_values_is_built_by_keyword():
-    trees = [ast.parse(text) for text in SOURCES.values()]
-    classes = {node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef) and is_dataclass(node)}
+    nodes = [node for text in SOURCES.values() for node in nodes_of_text(text)]
+    classes = {node.name for node in nodes if isinstance(node, ast.ClassDef) and is_dataclass(node)}
     assert {"Tuning", "LoopMargins", "ClearanceCheck"} <= classes
     assert {module: found for module, text in SOURCES.items() if (found := built_by_position(text, classes))} == {}
 
@@ -307,7 +306,7 @@ def test_a_dataclass_that_is_built_by_position_is_found():
 def python_constants(text: str) -> dict[str, float]:
     """The numbers that a module gives names in capitals, without leading underscores."""
     found = {}
-    for node in ast.parse(text).body:
+    for node in tree_of_text(text).body:
         if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name) and target.id.isupper():
             try:
                 value = ast.literal_eval(node.value)

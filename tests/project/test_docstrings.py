@@ -8,7 +8,6 @@ import ast
 import builtins
 import inspect
 import re
-import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from syntax import definition_of, nodes_of_text
 
 import armctl
 from armctl.core import errors
@@ -106,13 +106,6 @@ class Documented:
         return [name for name in names if not name.lstrip("*").startswith("_")]
 
 
-def tree_of(value: object) -> ast.ClassDef | Function:
-    """The syntax tree of a class or function."""
-    [node] = ast.parse(textwrap.dedent(inspect.getsource(value))).body  # type: ignore[arg-type]
-    assert isinstance(node, ast.ClassDef | Function)
-    return node
-
-
 def has_source(value: type) -> bool:
     """Whether a class is armctl's and written in Python; the docstrings of the core are in C++."""
     return value.__module__.startswith("armctl.") and value.__module__ != "armctl._core"
@@ -124,7 +117,7 @@ def public_api() -> Iterator[Documented]:
         value = getattr(armctl, name)
         if inspect.isclass(value):
             for home in filter(has_source, value.__mro__):
-                node = tree_of(home)
+                node = definition_of(home)
                 yield Documented(name if home is value else f"{name}({home.__name__})", node)
                 for member in node.body:
                     if isinstance(member, Function) and (not member.name.startswith("_") or member.name == "__init__"):
@@ -132,7 +125,7 @@ def public_api() -> Iterator[Documented]:
                         if "setter" not in method.decorators:  # the property says what it is
                             yield method
         elif inspect.isfunction(value):
-            yield Documented(name, tree_of(value))
+            yield Documented(name, definition_of(value))
 
 
 def own_statements(node: ast.AST) -> Iterator[ast.AST]:
@@ -228,7 +221,7 @@ def all_documented() -> Iterator[Documented]:
     """Every class and function of the package."""
     package = Path(armctl.__file__).parent
     for path in sorted(package.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes_of_text(path.read_text(encoding="utf-8")):
             if isinstance(node, ast.ClassDef | Function):
                 yield Documented(f"{path.relative_to(package)}:{node.lineno} {node.name}", node)
 
