@@ -65,7 +65,7 @@ $(VENV)/run.stamp: pyproject.toml
 	@# The tools of the build are installed first, so that the build can print what it does: pip hides what a build prints.
 	@$(BIN)/python -m pip install --quiet --no-compile $$($(PYTHON) packaging/build_backend/requirements.py) || { \
 	  echo "pip could not install the tools that build the compiled core; its reason is above."; exit 1; }
-	@echo "installing $(PARTS_$(EXTRA)), half a minute to two minutes"
+	@echo "installing $(PARTS_$(EXTRA)); with the core, one to four minutes in all"
 	@$(MAKE) --no-print-directory --jobs 2 build-core install-dependencies EXTRA=$(EXTRA)
 	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
 	@$(BIN)/python -m pip uninstall --quiet --quiet --yes armctl
@@ -118,6 +118,7 @@ sanitize: $(VENV)/dev.stamp $(VENV)/core.stamp
 
 demo: $(VENV)/core.stamp
 	@$(BIN)/armctl reach robot_arm_3dof
+	@echo "next: source $(BIN)/activate, then armctl view robot_arm_3dof: drag the target in the browser"
 
 # The checks use one core each.
 test:

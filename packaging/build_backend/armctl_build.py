@@ -23,6 +23,7 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from build_progress import show_progress
 from compilers import ZIG_REQUIREMENT, has_compiler, zig_environment
 from scikit_build_core import build as backend
 from scikit_build_core.build import (
@@ -100,7 +101,7 @@ def _pack_wheel(metadata: Path, wheel_directory: Path) -> str:
 def announce_build() -> None:
     """Prints what is being built, and about how long it takes."""
     if has_compiler():
-        print("building armctl's compiled core from armctl/cpp: half a minute to two minutes", flush=True)
+        print("building armctl's compiled core from armctl/cpp: one to four minutes", flush=True)
     else:
         print(
             "building armctl's compiled core from armctl/cpp with zig, for there is no C++ compiler: three to eight minutes, "
@@ -154,9 +155,10 @@ def build_in_place(sanitize: bool = False) -> None:
     ]  # fmt: skip
     jobs = str(min(MAX_JOBS, os.cpu_count() or 1))
     for command in (configure, [cmake, "--build", str(folder), "--parallel", jobs]):
-        done = subprocess.run(command, env=environment, stdout=subprocess.PIPE if command is configure else None, text=True)
-        if done.returncode != 0:
-            raise SystemExit(f"{done.stdout or ''}armctl's compiled core could not be built; the reason is above")
+        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+            messages = show_progress(process.stdout or (), sys.stdout)
+        if process.returncode != 0:
+            raise SystemExit(f"{messages}armctl's compiled core could not be built; the reason is above")
     print(f"armctl's compiled core is up to date, after {time.monotonic() - started:.1f} s", flush=True)
 
 

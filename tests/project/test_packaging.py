@@ -1,7 +1,9 @@
 """What is installed from a wheel is whole: the bundled model is in it, and it works without the checkout."""
 
 import ast
+import importlib
 import importlib.metadata
+import io
 import os
 import re
 import shutil
@@ -184,6 +186,22 @@ def test_an_editable_install_is_a_path_to_the_checkout(tmp_path: Path):
     [path] = [name for name in wheel.namelist() if ".dist-info/" not in name]
     assert path.endswith(".pth")
     assert Path(wheel.read(path).decode().strip()).resolve() == ROOT
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("out", "shown"), [(Terminal(), "\rcompiled 1 of 2\rcompiled 2 of 2\n"), (io.StringIO(), "")])
+def test_a_build_shows_its_steps_on_one_line_of_a_terminal_and_keeps_messages(
+    monkeypatch: pytest.MonkeyPatch, out: io.StringIO, shown: str
+):
+    monkeypatch.syspath_prepend(ROOT / "packaging" / "build_backend")
+    build_progress = importlib.import_module("build_progress")
+    lines = ["[1/2] Building CXX object law.cpp.o\n", "law.cpp:3: error: no such type\n", "[2/2] Linking\n"]
+    assert build_progress.show_progress(lines, out) == "law.cpp:3: error: no such type\n"
+    assert out.getvalue() == shown
 
 
 def test_a_checkout_finds_the_bundled_models():
