@@ -157,6 +157,9 @@ from .plan.stream.stream import Stream as Stream
 from .plan.stream.stream import StreamReport as StreamReport
 from .report.plot import four_panels as four_panels
 from .report.plot import overlay as overlay
+from .report.render.depth_camera import Camera as Camera
+from .report.render.depth_camera import CameraImage as CameraImage
+from .report.render.depth_camera import points_from_depth as points_from_depth
 from .report.render.video import Film as Film
 from .report.render.video import record as record
 from .report.render.video import still as still

@@ -23,6 +23,7 @@ QUALITIES = ("fast", "full")
 MIN_PIXELS = 16
 MAX_PIXELS = 8192  # OpenGL promises renderbuffers of this size, or hardly less
 
+_SEEN_SHARE = 0.999  # of the farthest depth that is drawn: what is beyond it is the sky
 _TRACE_COLOR = np.array([0.902, 0.624, 0.0, 1.0], np.float32)  # orange of Okabe and Ito, as in the plots
 _TRACE_RADIUS = 0.0025  # of the model's extent
 _STICK_COLOR = np.array([0.75, 0.78, 0.82, 1.0], np.float32)
@@ -104,6 +105,39 @@ class Renderer:
         mujoco.mjr_render(whole, self._scene, self._context)
         mujoco.mjr_readPixels(out, None, whole, self._context)
         return out[::-1]
+
+    def seen(self, data: mujoco.MjData, eye: Array, rotation: Array, fovy: float) -> tuple[Image, NDArray[np.float32]]:
+        """What a pinhole camera sees: the picture, and the depth (height, width) m, infinite where there is nothing.
+
+        It is at `eye` (3,) m, and the columns of `rotation` (3, 3) are its directions right, down and forward; `fovy` in rad.
+        """
+        if self._context is None:
+            raise InputError("renderer: it is closed; make another")
+        everything = int(mujoco.mjtCatBit.mjCAT_ALL)
+        mujoco.mjv_updateScene(self._model, data, self._option, None, mujoco.MjvCamera(), everything, self._scene)
+        if self._fast:
+            self._scene.flags[[int(mujoco.mjtRndFlag.mjRND_SHADOW), int(mujoco.mjtRndFlag.mjRND_REFLECTION)]] = 0
+        self._scene.flags[int(mujoco.mjtRndFlag.mjRND_SKYBOX)] = 0  # a sky would have a depth
+        near = float(self._scene.camera[0].frustum_near)
+        far = float(self._scene.camera[0].frustum_far)
+        for camera in self._scene.camera:
+            camera.pos[:] = eye
+            camera.forward[:] = rotation[:, 2]
+            camera.up[:] = -rotation[:, 1]
+            camera.frustum_center = 0.0
+            camera.frustum_width = 0.0
+            camera.frustum_top = near * np.tan(0.5 * fovy)
+            camera.frustum_bottom = -camera.frustum_top
+        whole = mujoco.MjrRect(0, 0, self.width, self.height)
+        colour = np.empty((self.height, self.width, 3), np.uint8)
+        buffer = np.empty((self.height, self.width), np.float32)
+        self._gl.make_current()
+        mujoco.mjr_render(whole, self._scene, self._context)
+        mujoco.mjr_readPixels(colour, buffer, whole, self._context)
+        # The buffer of OpenGL's perspective projection, 0 at the near plane and 1 at the far one.
+        depth = near / (1.0 - buffer.astype(np.float64) * (1.0 - near / far))
+        depth[depth > _SEEN_SHARE * far] = np.inf
+        return colour[::-1], depth[::-1].astype(np.float32)
 
     def _add_capsules(self, ends: Iterable[Sequence[Array]], radius: float, color: NDArray[np.float32]) -> None:
         """Adds capsules between two points each, as many as a picture can show; the radius is that of an extent of 1 m."""

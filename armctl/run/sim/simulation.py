@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,6 +31,7 @@ from armctl.run.sim.simulated_arm import ConstantTorque, SimulatedArm
 from armctl.run.sim.stepper import Stepper
 
 if TYPE_CHECKING:
+    from armctl.report.render.depth_camera import Camera, CameraImage, Eyes
     from armctl.run.sim.gripper.gripper import Gripper
 
 _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
@@ -88,6 +90,7 @@ class Simulation(Commands):
         self._controlled: SimulatedArm = SimulatedArm(arm, law, self._stepper)
         super().__init__(self._controlled)
         self._grippers: dict[str, Gripper] = {}
+        self._eyes: Eyes | None = None
 
     def __repr__(self) -> str:
         law = traits(self.controller).name
@@ -158,6 +161,34 @@ class Simulation(Commands):
         for gripper in self._grippers.values():
             gripper.reset()
         self._controlled.reset(q, v)
+
+    def camera(self, camera: str | Camera, size: tuple[int, int] = (320, 240)) -> CameraImage:
+        """What a camera sees now: colour, depth and points, as a depth camera gives them.
+
+        Args:
+            camera: The name of a camera of the model; or an `armctl.Camera`, such as one at the wrist.
+            size: Width and height in pixels, in [16, 8192].
+
+        Returns:
+            The picture. Its `points` are in the world; those on the arm itself are among them.
+
+        Raises:
+            InputError: A size out of bounds, or a camera whose optical axis is not in the middle.
+            UnknownNameError: The model has no such camera, or no body or site that carries it.
+            NotInstalledError: OpenGL is missing.
+
+        Example:
+            >>> seen = sim.camera(armctl.Camera(armctl.Pose([0, 0, 1.5], rpy=[np.pi, 0, 0])))
+            >>> seen.points
+        """
+        from armctl.report.render.depth_camera import Eyes
+        from armctl.report.render.renderer import check_size
+
+        if self._eyes is None:
+            self._eyes = Eyes(self._stepper.model)
+        mujoco.mj_kinematics(self._stepper.model, self._stepper.data)
+        mujoco.mj_camlight(self._stepper.model, self._stepper.data)
+        return self._eyes.look(self._stepper.data, camera, check_size(size))
 
     def step(self, torque: ArrayLike | None = None) -> State:
         """Simulates one tick and measures, for control loops of the caller, such as MPC, teleoperation or learning.
