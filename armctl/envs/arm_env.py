@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -11,6 +12,7 @@ from armctl.core.validation import as_array, flag, integer
 from armctl.envs.batch import Batch, action_space, observation_space
 from armctl.envs.screen import Screen
 from armctl.envs.tasks.task import RobotLike
+from armctl.report.render.depth_camera import Camera, CameraImage, camera_names
 
 
 class ArmEnv(gymnasium.Env):
@@ -18,7 +20,7 @@ class ArmEnv(gymnasium.Env):
 
     Attributes:
         batch: The episode, a batch of one.
-        screen: What draws pictures; None without a render mode.
+        screen: What draws pictures; None without a render mode and cameras.
         compute_reward: Only where observations have goals: a function of achieved goals and desired goals, (..., 3) m each, and
             the information of the step or of each step, that returns (...,) rewards for hindsight replay.
         metadata: The rendering modes, in the form of Gymnasium.
@@ -35,6 +37,7 @@ class ArmEnv(gymnasium.Env):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        cameras: Sequence[str | Camera] = (),
         goal_conditioned: bool = False,
         **options: Any,
     ):
@@ -48,6 +51,8 @@ class ArmEnv(gymnasium.Env):
             render_mode: "rgb_array" for pictures, "human" for the viewer's page.
             width: Pixels of a picture.
             height: Pixels of a picture.
+            cameras: Names of cameras of the model, and `armctl.Camera` with names of their own, such as one at the wrist: what
+                `see` and `save_demonstrations` take pictures with.
             goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.
             **options: Further arguments of `ArmVectorEnv`.
 
@@ -63,7 +68,9 @@ class ArmEnv(gymnasium.Env):
         if self._has_goals:
             self.compute_reward = self.batch.reward
         self.render_mode = render_mode
-        self.screen = None if render_mode is None else Screen(self.batch, render_mode, width, height)
+        needs_screen = render_mode is not None or len(camera_names(cameras)) > 0
+        mode = "rgb_array" if render_mode is None else render_mode
+        self.screen = Screen(self.batch, mode, width, height, cameras) if needs_screen else None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode.
@@ -118,6 +125,17 @@ class ArmEnv(gymnasium.Env):
             (height, width, 3) if the mode is "rgb_array", else None.
         """
         return self.screen.picture() if self.screen is not None and self.render_mode == "rgb_array" else None
+
+    def see(self) -> dict[str, CameraImage]:
+        """What the cameras see now.
+
+        Returns:
+            Colour, depth and points of each of `cameras`, by its name.
+
+        Raises:
+            NotInstalledError: OpenGL is missing.
+        """
+        return {} if self.screen is None else {name: self.screen.see(name) for name in self.screen.cameras}
 
     def close(self) -> None:
         """Closes the page or the renderer."""

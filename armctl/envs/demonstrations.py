@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +22,9 @@ from armctl.core.result import Verdict
 from armctl.core.validation import integer, shown
 from armctl.envs.arm_env import ArmEnv
 from armctl.envs.experts import ExpertPolicy
-from armctl.envs.lerobot import Feature, LeRobotWriter
+from armctl.envs.lerobot import FRONT, Feature, LeRobotWriter, film_name
 from armctl.envs.screen import SceneState, Screen
+from armctl.report.render.renderer import Image
 
 _HOLD_TIME = 0.25  # s at the goal, after which an episode ends
 _MAX_FAILURES = 20  # in a row
@@ -87,8 +88,9 @@ def save_demonstrations(
     """Saves episodes of the scripted expert, or of a teleoperator, as a data set in the format LeRobotDataset v3.0.
 
     Each frame has the observation, the action that is taken then, and the reward and success after it; with
-    `render_mode="rgb_array"` also a picture. An episode ends when the goal is held for a quarter of a second, in Track at the
-    horizon. Only solved episodes are saved. The same seed gives the same episodes.
+    `render_mode="rgb_array"` also a picture, and one of each of the environment's `cameras`. An episode ends when the goal is
+    held for a quarter of a second, in Track at the horizon. Only solved episodes are saved. The same seed gives the same
+    episodes.
 
     Args:
         env: A single environment of armctl, whose steps are 1/20 s, 1/40 s, or another fraction with a whole denominator.
@@ -115,7 +117,7 @@ def save_demonstrations(
         raise InputError(f"folder: {str(final)!r:.150} exists already; give another name")
     episodes = integer("episodes", episodes, 1)
     seed = integer("seed", seed, 0)
-    screen = own.screen if own.render_mode == "rgb_array" else None
+    screen = own.screen if own.render_mode != "human" else None
     temporary = final.with_name(f".{final.name[:100]}.{secrets.token_hex(4)}")
     try:
         temporary.mkdir(parents=True)
@@ -151,11 +153,29 @@ def _record(env: ArmEnv, writer: LeRobotWriter, screen: Screen | None, episodes:
                 failures_in_a_row += 1
                 continue
             failures_in_a_row = 0
-            images = (screen.picture(state) for state in recording.states) if screen is not None else ()
+            images = {} if screen is None else _pictures(env, screen, recording.states)
             writer.add(env.batch.task.instruction, recording.values(), images)
             progress.update()
     writer.close()
     return failures
+
+
+def _pictures(env: ArmEnv, screen: Screen, states: list[SceneState]) -> dict[str, Iterable[Image]]:
+    """The pictures of an episode, by the names of their films."""
+    found: dict[str, Iterable[Image]] = {}
+    if env.render_mode is not None:
+        found[FRONT] = (screen.picture(state) for state in states)
+    for name in screen.cameras:
+        found[film_name(name)] = (screen.see(name, state).colour for state in states)
+    return found
+
+
+def _films(env: ArmEnv, screen: Screen | None) -> dict[str, tuple[int, int]]:
+    """The size of each film."""
+    if screen is None:
+        return {}
+    front = {} if env.render_mode is None else {FRONT: screen.size}
+    return {**front, **{film_name(name): screen.size for name in screen.cameras}}
 
 
 def _play(env: ArmEnv, policy: _Policy, screen: Screen | None, seed: int) -> _EpisodeRecording | None:
@@ -200,8 +220,8 @@ def _writer(env: ArmEnv, folder: Path, screen: Screen | None) -> LeRobotWriter:
         "next.success": Feature("bool"),
         "next.done": Feature("bool"),
     }
-    size = None if screen is None else screen.size
-    return LeRobotWriter(folder, frames_per_second=rate, robot=batch.arm.name, features=features, size=size)
+    films = _films(env, screen)
+    return LeRobotWriter(folder, frames_per_second=rate, robot=batch.arm.name, features=features, films=films)
 
 
 def _observation_names(env: ArmEnv) -> list[str]:

@@ -17,7 +17,7 @@ from armctl.report.render.renderer import Image
 from armctl.report.render.video import Mp4Writer
 
 VERSION = "v3.0"
-CAMERA = "observation.images.front"
+FRONT = "observation.images.front"  # the film of the render mode
 _CHUNK_SIZE = 1000  # files in a folder
 _DATA_FILE_MB = 100
 _VIDEO_FILE_MB = 200
@@ -49,19 +49,90 @@ class Feature(NamedTuple):
         }
 
 
+def film_name(camera: str) -> str:
+    """What the film of a camera is called."""
+    return f"observation.images.{camera}"
+
+
+class _Film:
+    """The pictures of one camera, in files that grow up to a size."""
+
+    def __init__(self, folder: Path, name: str, rate: int, size: tuple[int, int]):
+        self._folder = folder
+        self._name = name
+        self._rate = rate
+        self.size = size
+        self._video: Mp4Writer | None = None
+        self._path = folder
+        self._files = 0
+        self._frames = 0
+
+    def close(self) -> None:
+        if self._video is not None:
+            self._video.close()
+            self._video = None
+
+    def add(self, images: Iterable[Image]) -> tuple[dict[str, Any], Statistics]:
+        """Writes the pictures of an episode; returns where they are, and their statistics."""
+        if self._video is not None and self._path.stat().st_size >= _VIDEO_FILE_MB * _MB:
+            self.close()
+        if self._video is None:
+            self._path = new_file(self._folder, _VIDEO_PATH.format(video_key=self._name, **_numbered(self._files)))
+            self._files += 1
+            self._frames = 0
+            self._video = Mp4Writer(self._path, self._rate, self.size, keyframe_interval=_KEYFRAME_INTERVAL)
+        first = self._frames
+        sampled = []
+        for count, image in enumerate(images):
+            self._video.add(image)
+            self._frames += 1
+            if count % _STATISTICS_FRAMES == 0:
+                sampled.append(image[::_STATISTICS_PIXELS, ::_STATISTICS_PIXELS].reshape(-1, 3) / 255.0)
+        pixels = _statistics(np.concatenate(sampled))
+        statistics = {what: v if what == "count" else v.reshape(3, 1, 1) for what, v in pixels.items()}
+        statistics["count"] = np.array([len(sampled)])
+        place = {f"videos/{self._name}/{name}": number for name, number in _numbered(self._files - 1).items()}
+        times = {"from_timestamp": first / self._rate, "to_timestamp": self._frames / self._rate}
+        return {**place, **{f"videos/{self._name}/{name}": time for name, time in times.items()}}, statistics
+
+    def info(self) -> dict[str, Any]:
+        width, height = self.size
+        return {
+            "dtype": "video",
+            "shape": [height, width, 3],
+            "names": ["height", "width", "channels"],
+            "info": {
+                "video.height": height,
+                "video.width": width,
+                "video.codec": "h264",
+                "video.pix_fmt": "yuv420p",
+                "video.is_depth_map": False,
+                "video.fps": self._rate,
+                "video.channels": 3,
+                "has_audio": False,
+            },
+        }
+
+
 class LeRobotWriter:
     """Writes a data set episode by episode; `finish` writes what describes it."""
 
     def __init__(
-        self, folder: Path, *, frames_per_second: int, robot: str, features: Mapping[str, Feature], size: tuple[int, int] | None
+        self,
+        folder: Path,
+        *,
+        frames_per_second: int,
+        robot: str,
+        features: Mapping[str, Feature],
+        films: Mapping[str, tuple[int, int]],
     ):
-        """A data set without episodes in an existing folder; `size` is that of the pictures, None without pictures.
+        """A data set without episodes in an existing folder; `films` has the size of the pictures of each film by its name.
 
         NotInstalledError if packages for Parquet or films are missing.
         """
         for package in ("pandas", "pyarrow"):
             import_extra(package, "data sets need pyarrow and pandas", "study")
-        if size is not None:
+        if films:
             import_extra("av", "films of episodes need an encoder", "view")
         self.episodes = 0  # episodes so far
         self.frames = 0  # frames so far
@@ -69,20 +140,16 @@ class LeRobotWriter:
         self._rate = frames_per_second
         self._robot = robot
         self._features = {**features, **{name: Feature(dtype) for name, dtype in _INDICES.items()}}
-        self._size = size
+        self._films = {name: _Film(folder, name, frames_per_second, size) for name, size in films.items()}
         self._tasks: list[str] = []
         self._rows: list[dict[str, Any]] = []
         self._statistics: list[dict[str, Statistics]] = []
         self._data: Any = None
         self._data_path = folder
         self._data_files = 0
-        self._video: Mp4Writer | None = None
-        self._video_path = folder
-        self._video_files = 0
-        self._video_frames = 0
 
-    def add(self, task: str, values: Mapping[str, NDArray[Any]], images: Iterable[Image] = ()) -> None:
-        """Adds an episode of a task, in words: values (k, size) or (k,) of each feature, and k pictures if there are any."""
+    def add(self, task: str, values: Mapping[str, NDArray[Any]], images: Mapping[str, Iterable[Image]]) -> None:
+        """Adds an episode of a task, in words: values (k, size) or (k,) of each feature, and k pictures of each film."""
         if task not in self._tasks:
             self._tasks.append(task)
         length = len(next(iter(values.values())))
@@ -98,8 +165,9 @@ class LeRobotWriter:
         statistics = {name: _statistics(np.asarray(columns[name])) for name in self._features}
         row: dict[str, Any] = {"episode_index": self.episodes, "tasks": [task], "length": length}
         row |= self._add_data(columns)
-        if self._size is not None:
-            row |= self._add_video(images, statistics)
+        for name, film in self._films.items():
+            place, statistics[name] = film.add(images[name])
+            row |= place
         row |= {f"stats/{name}/{what}": v.tolist() for name, each in statistics.items() for what, v in each.items()}
         row |= {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
         self._rows.append(row)
@@ -127,9 +195,8 @@ class LeRobotWriter:
         if self._data is not None:
             self._data.close()
             self._data = None
-        if self._video is not None:
-            self._video.close()
-            self._video = None
+        for film in self._films.values():
+            film.close()
 
     def _add_data(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         """Writes the numbers of an episode; returns where they are."""
@@ -142,7 +209,7 @@ class LeRobotWriter:
             self._data.close()
             self._data = None
         if self._data is None:
-            self._data_path = self._new_file(_DATA_PATH, self._data_files)
+            self._data_path = new_file(self._folder, _DATA_PATH.format(**_numbered(self._data_files)))
             self._data_files += 1
             self._data = pq.ParquetWriter(self._data_path, table.schema, compression="snappy")
         self._data.write_table(table)
@@ -151,55 +218,9 @@ class LeRobotWriter:
         place = {f"data/{name}": number for name, number in where.items()}
         return {**place, "dataset_from_index": first, "dataset_to_index": first + len(table)}
 
-    def _add_video(self, images: Iterable[Image], statistics: dict[str, Statistics]) -> dict[str, Any]:
-        """Writes the pictures of an episode and adds their statistics; returns where they are."""
-        assert self._size is not None
-        if self._video is not None and self._video_path.stat().st_size >= _VIDEO_FILE_MB * _MB:
-            self._video.close()
-            self._video = None
-        if self._video is None:
-            self._video_path = self._new_file(_VIDEO_PATH, self._video_files)
-            self._video_files += 1
-            self._video_frames = 0
-            self._video = Mp4Writer(self._video_path, self._rate, self._size, keyframe_interval=_KEYFRAME_INTERVAL)
-        first = self._video_frames
-        sampled = []
-        for count, image in enumerate(images):
-            self._video.add(image)
-            self._video_frames += 1
-            if count % _STATISTICS_FRAMES == 0:
-                sampled.append(image[::_STATISTICS_PIXELS, ::_STATISTICS_PIXELS].reshape(-1, 3) / 255.0)
-        pixels = _statistics(np.concatenate(sampled))
-        statistics[CAMERA] = {what: v if what == "count" else v.reshape(3, 1, 1) for what, v in pixels.items()}
-        statistics[CAMERA]["count"] = np.array([len(sampled)])
-        place = {f"videos/{CAMERA}/{name}": number for name, number in _numbered(self._video_files - 1).items()}
-        times = {"from_timestamp": first / self._rate, "to_timestamp": self._video_frames / self._rate}
-        return {**place, **{f"videos/{CAMERA}/{name}": time for name, time in times.items()}}
-
-    def _new_file(self, template: str, number: int) -> Path:
-        path = self._folder / template.format(video_key=CAMERA, **_numbered(number))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path
-
     def _info(self) -> dict[str, Any]:
         features = {name: feature.info() for name, feature in self._features.items()}
-        if self._size is not None:
-            width, height = self._size
-            features[CAMERA] = {
-                "dtype": "video",
-                "shape": [height, width, 3],
-                "names": ["height", "width", "channels"],
-                "info": {
-                    "video.height": height,
-                    "video.width": width,
-                    "video.codec": "h264",
-                    "video.pix_fmt": "yuv420p",
-                    "video.is_depth_map": False,
-                    "video.fps": self._rate,
-                    "video.channels": 3,
-                    "has_audio": False,
-                },
-            }
+        features |= {name: film.info() for name, film in self._films.items()}
         return {
             "codebase_version": VERSION,
             "robot_type": self._robot,
@@ -212,12 +233,19 @@ class LeRobotWriter:
             "fps": self._rate,
             "splits": {"train": f"0:{self.episodes}"},
             "data_path": _DATA_PATH,
-            "video_path": None if self._size is None else _VIDEO_PATH,
+            "video_path": _VIDEO_PATH if self._films else None,
             "features": features,
         }
 
     def _write_json(self, name: str, content: object) -> None:
         (self._folder / "meta" / name).write_text(json.dumps(content, indent=4), encoding="utf-8")
+
+
+def new_file(folder: Path, name: str) -> Path:
+    """The path of a file in a data set, whose folder is made."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def _numbered(number: int) -> dict[str, int]:

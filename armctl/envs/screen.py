@@ -1,5 +1,6 @@
 """Screen: pictures of an environment, or the viewer's page."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -10,6 +11,7 @@ from armctl.core.validation import Array, choice
 from armctl.envs.batch import Batch
 from armctl.model.mjmodel.target_marker import set_target
 from armctl.report.render.camera import fitted_camera
+from armctl.report.render.depth_camera import Camera, CameraImage, Eyes, camera_names, placed
 from armctl.report.render.renderer import Image, Renderer, check_size
 from armctl.report.render.stick_figure import needed_stick_figure
 
@@ -24,8 +26,9 @@ class SceneState(NamedTuple):
 class Screen:
     """Shows the first row of a batch, and the goal as the target marker."""
 
-    def __init__(self, batch: Batch, mode: str, width: int, height: int):
+    def __init__(self, batch: Batch, mode: str, width: int, height: int, cameras: Sequence[str | Camera] = ()):
         """A screen; pictures or the page are opened when they are first needed."""
+        self.cameras = camera_names(cameras)
         self._batch = batch
         self._arm = batch.arm
         self._data = mujoco.MjData(self._arm.model)
@@ -33,6 +36,11 @@ class Screen:
         self._renderer: Renderer | None = None
         self._stick_figure = needed_stick_figure(self._arm)
         self._camera: mujoco.MjvCamera | None = None
+        self._eyes = Eyes(self._arm.model)
+        if self.cameras:
+            mujoco.mj_forward(self._arm.model, self._data)
+        for camera in self.cameras.values():
+            placed(self._arm.model, self._data, camera)  # UnknownNameError now rather than at the first picture
         self._viewer = None
         if choice("render_mode", mode, RENDER_MODES) == "human" and hooks.open_viewer is not None:
             self._viewer = hooks.open_viewer(self._arm)
@@ -59,6 +67,14 @@ class Screen:
         sticks = None if self._stick_figure is None else self._stick_figure.segments(self._data)
         return self._renderer.image(self._data, self._camera, sticks=sticks)
 
+    def see(self, name: str, state: SceneState | None = None) -> CameraImage:
+        """What one of the cameras sees in a state, or in that of now."""
+        state = self.state() if state is None else state
+        self._data.qpos[:] = state.qpos
+        self._data.mocap_pos[:] = state.mocap_pos
+        mujoco.mj_forward(self._arm.model, self._data)
+        return self._eyes.look(self._data, self.cameras[name], self.size)
+
     def show(self) -> None:
         """Shows the state on the page, and waits until the wall clock reaches it."""
         assert self._viewer is not None
@@ -70,6 +86,7 @@ class Screen:
         self._viewer.after_ticks(self._data, self._batch.step_time)
 
     def close(self) -> None:
+        self._eyes.close()
         if self._renderer is not None:
             self._renderer.close()
         if self._viewer is not None:

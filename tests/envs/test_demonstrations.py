@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 import armctl
 import armctl.envs
-from armctl.envs.lerobot import CAMERA, Feature, LeRobotWriter
+from armctl.envs.lerobot import FRONT, Feature, LeRobotWriter
 
 SEED = 3
 EPISODES = 2
@@ -79,14 +79,14 @@ def test_the_structure_is_that_of_the_format(dataset, info, rows):
         "meta/info.json",
         "meta/stats.json",
         "meta/tasks.parquet",
-        f"videos/{CAMERA}/chunk-000/file-000.mp4",
+        f"videos/{FRONT}/chunk-000/file-000.mp4",
     }
     assert info["codebase_version"] == "v3.0"
     assert info["fps"] == 20
     assert info["splits"] == {"train": f"0:{EPISODES}"}
     assert info["data_path"].format(chunk_index=0, file_index=0) in files
-    assert info["video_path"].format(video_key=CAMERA, chunk_index=0, file_index=0) in files
-    assert set(info["features"]) == {*rows.column_names, CAMERA}
+    assert info["video_path"].format(video_key=FRONT, chunk_index=0, file_index=0) in files
+    assert set(info["features"]) == {*rows.column_names, FRONT}
     for name in rows.column_names:
         feature = info["features"][name]
         assert feature["shape"] == [len(feature["names"]) if feature["names"] else 1]
@@ -107,20 +107,20 @@ def test_episodes_and_statistics_describe_the_rows(dataset, rows):
         assert len(own) == each["length"]
         assert each["stats/observation.state/mean"] == pytest.approx(own.mean(axis=0), abs=1e-6)
         assert each["stats/observation.state/count"] == [len(own)]
-        duration = each[f"videos/{CAMERA}/to_timestamp"] - each[f"videos/{CAMERA}/from_timestamp"]
+        duration = each[f"videos/{FRONT}/to_timestamp"] - each[f"videos/{FRONT}/from_timestamp"]
         assert duration == pytest.approx(len(own) / 20)
     for what, expected in (("mean", states.mean(axis=0)), ("std", states.std(axis=0)), ("max", states.max(axis=0))):
         assert statistics["observation.state"][what] == pytest.approx(expected, abs=1e-6)
     medians = [np.median(states[each["dataset_from_index"] : each["dataset_to_index"]], axis=0) for each in episodes]
     expected = np.average(medians, axis=0, weights=[each["length"] for each in episodes])
     assert statistics["observation.state"]["q50"] == pytest.approx(expected, abs=1e-6)
-    assert np.shape(statistics[CAMERA]["q99"]) == (3, 1, 1)
-    assert np.shape(statistics[CAMERA]["mean"]) == (3, 1, 1)
-    assert 0.0 < np.mean(statistics[CAMERA]["mean"]) < 1.0
+    assert np.shape(statistics[FRONT]["q99"]) == (3, 1, 1)
+    assert np.shape(statistics[FRONT]["mean"]) == (3, 1, 1)
+    assert 0.0 < np.mean(statistics[FRONT]["mean"]) < 1.0
 
 
 def test_the_film_has_a_picture_for_each_row(dataset, env, rows):
-    with av.open(dataset / f"videos/{CAMERA}/chunk-000/file-000.mp4") as film:
+    with av.open(dataset / f"videos/{FRONT}/chunk-000/file-000.mp4") as film:
         pictures = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
         rate = film.streams.video[0].average_rate
     assert (len(pictures), rate) == (len(rows), 20)
@@ -134,10 +134,10 @@ def test_the_film_has_a_picture_for_each_row(dataset, env, rows):
 def test_files_are_numbered_when_they_are_full(tmp_path, monkeypatch):
     monkeypatch.setattr("armctl.envs.lerobot._DATA_FILE_MB", 0)
     writer = LeRobotWriter(
-        tmp_path, frames_per_second=20, robot="arm", features={"action": Feature("float32", ["a"])}, size=None
+        tmp_path, frames_per_second=20, robot="arm", features={"action": Feature("float32", ["a"])}, films={}
     )
     for k in range(2):
-        writer.add("wave", {"action": np.full((3, 1), k, np.float32)})
+        writer.add("wave", {"action": np.full((3, 1), k, np.float32)}, {})
     writer.finish()
     episodes = pq.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert [each["data/file_index"] for each in episodes] == [0, 1]
@@ -170,6 +170,43 @@ def test_the_actions_of_a_policy_are_recorded_and_their_replay_ends_in_the_same_
     assert successes[-1]
     with pytest.raises(armctl.InputError, match="policy: expected a function of an observation, got 'joystick'"):
         armctl.envs.save_demonstrations(env, tmp_path / "more", 1, policy="joystick")
+
+
+def test_each_camera_has_a_film_also_one_at_the_wrist(tmp_path):
+    arm = armctl.load("robot_arm_3dof")
+    wrist = armctl.Camera(armctl.Pose([0.0, 0.0, 0.05]), on=arm.model.body(arm.tip_body).name, name="wrist")
+    above = armctl.Camera(armctl.Pose([0.3, 0.0, 1.2], rpy=[np.pi, 0.0, 0.0]), name="above")
+    env = armctl.envs.ArmEnv(arm, "Reach", "joint_target", width=64, height=48, cameras=[wrist, above])
+    env.reset(seed=0)
+    seen = env.see()
+    assert list(seen) == ["wrist", "above"]
+    assert seen["above"].points.shape[1] == 3
+    first = seen["wrist"].T_world_camera.position
+    env.step(np.full(env.action_space.shape, 0.8, np.float32))
+    assert np.linalg.norm(env.see()["wrist"].T_world_camera.position - first) > 1e-4
+    result = armctl.envs.save_demonstrations(env, tmp_path / "data", 1, seed=SEED)
+    assert result, result.reason
+    info = json.loads((tmp_path / "data/meta/info.json").read_text())
+    for name in ("wrist", "above"):
+        with av.open(tmp_path / f"data/videos/observation.images.{name}/chunk-000/file-000.mp4") as film:
+            assert len([None for _ in film.decode(video=0)]) == result.frames
+        assert info["features"][f"observation.images.{name}"]["shape"] == [48, 64, 3]
+    assert FRONT not in info["features"]
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("cameras", "error", "message"),
+    [
+        ("wrist", armctl.InputError, "cameras: expected a list"),
+        ([3], armctl.InputError, "cameras: expected a list .* got 3"),
+        ([armctl.Camera(armctl.Pose([0, 0, 1]))] * 2, armctl.InputError, "two are called 'camera'"),
+        (["wrist"], armctl.UnknownNameError, "camera"),
+    ],
+)
+def test_cameras_that_are_none_are_refused_before_an_episode(cameras, error, message):
+    with pytest.raises(error, match=message):
+        armctl.envs.ArmEnv("robot_arm_3dof", cameras=cameras)
 
 
 def test_wrong_calls_leave_nothing_behind(env, tmp_path, monkeypatch):

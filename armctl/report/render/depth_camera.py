@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -75,16 +76,36 @@ class Camera:
         at: T_body_camera, or T_world_camera: z forward, y down.
         on: The body or site that carries it; empty for the world.
         fovy: rad, its vertical angle of view.
+        name: What its pictures are called where there are several, as in environments.
     """
 
     at: Pose
     on: str = ""
     fovy: float = 1.0
+    name: str = "camera"
 
     def __post_init__(self) -> None:
         instance("at", self.at, Pose, "Pose([0, 0, 1], rpy=[np.pi, 0, 0]) looks down")
         instance("on", self.on, str, "the name of a body")
         number("fovy", self.fovy, _MIN_FOVY_RAD, _MAX_FOVY_RAD)
+        instance("name", self.name, str, "'wrist' is a name")
+        if not self.name:
+            raise InputError("name: it is empty; 'wrist' is a name")
+
+
+def camera_names(cameras: object) -> dict[str, str | Camera]:
+    """A caller's cameras by their names: each is that of a camera of the model, or a Camera with a name of its own."""
+    if isinstance(cameras, (str, Camera)) or not isinstance(cameras, Sequence):
+        raise InputError(f"cameras: expected a list of names and Cameras, got {shown(cameras)}")
+    found: dict[str, str | Camera] = {}
+    for camera in cameras:
+        if not isinstance(camera, (str, Camera)):
+            raise InputError(f"cameras: expected a list of names and Cameras, got {shown(camera)} in it")
+        name = camera if isinstance(camera, str) else camera.name
+        if name in found:
+            raise InputError(f"cameras: two are called {name!r:.60}; give each Camera a name= of its own")
+        found[name] = camera
+    return found
 
 
 @dataclass(frozen=True, eq=False)
