@@ -114,6 +114,9 @@ from .model.arm.actuation import Actuation as Actuation
 from .model.arm.arm import Arm as Arm
 from .model.collision.clearance import ClearanceCheck as ClearanceCheck
 from .model.collision.clearance import check_clearance as check_clearance
+from .model.collision.world import World as World
+from .model.collision.world_snapshot import WorldBody as WorldBody
+from .model.collision.world_snapshot import WorldSnapshot as WorldSnapshot
 from .model.loading.chain import SerialChain as SerialChain
 from .model.loading.load import chains as chains
 from .model.loading.load import load as load

@@ -52,6 +52,23 @@ class ShapeKind(enum.IntEnum):
 
     PLANE = 4
 
+    POINTS = 5
+
+class PointCloud:
+    """Points that stand, as balls, and a tree over them. Immutable."""
+
+    def __init__(self, points: numpy.ndarray, radius: float) -> None:
+        """
+        From points (N, 3) m in the frame of the cloud, and the radius of each, m.
+        """
+
+    @property
+    def size(self) -> int:
+        """How many points."""
+
+    def distance(self, place: numpy.ndarray) -> float:
+        """m, of a place (3,) in the frame of the cloud from the nearest point."""
+
 class CollisionModel:
     """
     What an arm could touch: shapes, the joints that move them, and pairs. Immutable.
@@ -90,8 +107,45 @@ class CollisionModel:
         A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.
         """
 
+    def with_additions(
+        self, added: CollisionAdditions, clouds: Sequence[PointCloud], cloud_poses: numpy.ndarray
+    ) -> CollisionModel:
+        """
+        The same with further geoms, behind these its clouds at poses (C, 12): the rotation row by row, and the position.
+        """
+
+    def with_margins(self, margins: numpy.ndarray) -> CollisionModel:
+        """The same with other margins of the pairs, (K,) m."""
+
     def with_loops(self, loops: LoopClosure) -> CollisionModel:
         """The same of an arm with closed loops."""
+
+class CollisionAdditions:
+    """Geoms and pairs that are added to a model."""
+
+    def __init__(
+        self,
+        *,
+        vertices: numpy.ndarray,
+        first_neighbor: numpy.ndarray,
+        neighbors: numpy.ndarray,
+        kinds: numpy.ndarray,
+        frames: numpy.ndarray,
+        inflations: numpy.ndarray,
+        positions: numpy.ndarray,
+        rotations: numpy.ndarray,
+        sizes: numpy.ndarray,
+        centers: numpy.ndarray,
+        radii: numpy.ndarray,
+        first_vertex: numpy.ndarray,
+        first_geoms: numpy.ndarray,
+        second_geoms: numpy.ndarray,
+        margins: numpy.ndarray,
+        kept_pairs: numpy.ndarray,
+    ) -> None:
+        """
+        Arrays as of a model, and `kept_pairs` (K,) that says which of its pairs stay; armctl/cpp/collision_model.hpp explains them.
+        """
 
 class PairDistance:
     """A pair and its distance."""
@@ -136,6 +190,13 @@ class CollisionScene:
     def nearest_pair(self, q: numpy.ndarray) -> PairDistance:
         """
         The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.
+        """
+
+    def mark_points(
+        self, q: numpy.ndarray, geoms: numpy.ndarray, points: numpy.ndarray, margin: float, marks: numpy.ndarray
+    ) -> None:
+        """
+        Marks the points (N, 3) m of the world that are not farther than a margin, m, from some geoms (G,) at q (n,).
         """
 
     def near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> list[NearPair]:

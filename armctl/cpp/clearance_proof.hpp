@@ -1,7 +1,6 @@
 // Proofs that an arm keeps its distance during a whole motion: bisection in time with bounds of each link's motion.
 #pragma once
 #include <deque>
-#include <numeric>
 
 #include "collision_scene.hpp"
 #include "errors.hpp"
@@ -107,7 +106,7 @@ private:
         size_t piece;
         double begin;  // s
         double end;
-        std::shared_ptr<const std::vector<size_t>> open_pairs;  // those that are not settled
+        std::shared_ptr<const std::vector<size_t>> open_pairs;  // those that are not settled; none for all that may be near
     };
 
     // What is known of a pair, or of the kept axis, in an interval.
@@ -132,11 +131,9 @@ private:
 
     // Notes all pieces of the motion as the first intervals.
     void begin_proof(std::optional<size_t> only_pair) {
-        std::vector<size_t> pairs(only_pair ? 1 : scene_->model().pairs.size());
-        std::iota(pairs.begin(), pairs.end(), only_pair.value_or(0));
         checked_ = 0;
         waiting_.clear();
-        const auto open = std::make_shared<const std::vector<size_t>>(std::move(pairs));
+        const auto open = only_pair ? std::make_shared<const std::vector<size_t>>(1, *only_pair) : nullptr;
         for (size_t piece = 0; piece < motion_.pieces(); ++piece) { waiting_.push_back({piece, 0.0, motion_.length(piece), open}); }
     }
 
@@ -157,7 +154,7 @@ private:
             scene_->place(positions_);
             scene_->bound_motions(delta_);
             std::vector<size_t> open_pairs;
-            for (const size_t p : *inherited) {
+            for (const size_t p : inherited ? *inherited : scene_->pairs_in_motion(clearance)) {
                 const Verdict verdict = check_pair(p, clearance);
                 if (verdict == Verdict::not_free) { return Hit{p, time}; }
                 if (verdict == Verdict::open) { open_pairs.push_back(p); }

@@ -1,25 +1,26 @@
 // Convex shapes and their support points: the point of a shape that is farthest in a direction.
 #pragma once
-#include <vector>
+#include <memory>
 
-#include "vectors.hpp"
+#include "point_cloud.hpp"
 
 namespace armctl {
 
 constexpr size_t LARGE_HULL_VERTICES = 24;  // larger hulls are searched by hill climbing
 constexpr double MIN_LENGTH_M = 1e-12;      // shorter vectors have no direction
 
-enum class ShapeKind : std::int64_t { hull, box, cylinder, ellipsoid, plane };
+// Points are not convex: their distance is that of the nearest one.
+enum class ShapeKind : std::int64_t { hull, box, cylinder, ellipsoid, plane, points };
 
 // A shape in its frame. Spheres, capsules and meshes are hulls of their vertices, inflated by a radius.
 struct Geom {
     ShapeKind kind = ShapeKind::hull;
     size_t frame = 0;
     double inflation = 0.0;  // m, the radius of a sphere or a capsule
-    Vec3 position;
-    Rotation axes;
-    Vec3 size;    // half sizes of a box or an ellipsoid; radius and half length of a cylinder
-    Vec3 center;  // of a sphere around it
+    Vec3 position{};
+    Rotation axes{};
+    Vec3 size{};    // half sizes of a box or an ellipsoid; radius and half length of a cylinder
+    Vec3 center{};  // of a sphere around it
     double radius = 0.0;
     // Of a hull and a box.
     size_t first_vertex = 0;
@@ -28,7 +29,10 @@ struct Geom {
     Rotation semi_axes{};
     // Of a plane, which is where dot(normal, x) = offset. Planes stand still.
     double offset = 0.0;
+    // Of points, which stand still in the frame of `position` and `axes`.
+    std::shared_ptr<const PointCloud> cloud{};
 
+    Pose pose() const { return {axes, position}; }
     bool has_vertices() const { return kind == ShapeKind::hull || kind == ShapeKind::box; }
     Vec3 normal() const { return axes.z; }
 };
@@ -40,6 +44,15 @@ struct Vertices {
     std::vector<Vec3> positions;
     std::vector<size_t> first_neighbors;  // one more than vertices
     std::vector<size_t> neighbors;
+
+    // Adds vertices behind these.
+    void append(const Vertices& more) {
+        const size_t vertex = positions.size();
+        const size_t edge = neighbors.size();
+        positions.insert(positions.end(), more.positions.begin(), more.positions.end());
+        for (size_t i = 1; i < more.first_neighbors.size(); ++i) { first_neighbors.push_back(edge + more.first_neighbors[i]); }
+        for (const size_t neighbor : more.neighbors) { neighbors.push_back(vertex + neighbor); }
+    }
 
     // The vertex of a hull that is farthest in a direction; the search of a large hull climbs over its edges from a start.
     size_t farthest(const Geom& hull, Vec3 direction, size_t start) const {
@@ -64,6 +77,16 @@ struct Vertices {
         }
     }
 };
+
+// A place in the world as a geom, inflated by a radius.
+inline Geom ball_at(Vec3 place, double radius) {
+    return {.kind = ShapeKind::ellipsoid,
+            .inflation = radius,
+            .position = place,
+            .center = place,
+            .radius = radius,
+            .semi_axes = {Vec3{}, Vec3{}, Vec3{}}};
+}
 
 // The point of a cylinder or an ellipsoid that is farthest in a direction.
 inline Vec3 round_support_point(const Geom& geom, Vec3 direction) {

@@ -16,6 +16,7 @@
 #include "laws/impedance.hpp"
 #include "laws/mpc.hpp"
 #include "laws/pd.hpp"
+#include "point_cloud.hpp"
 #include "tick_loop.hpp"
 
 using namespace armctl;
@@ -361,6 +362,23 @@ void a_loop_ends_where_something_is_wrong() {
     checks::throws<InputError>([&] { loop.check(recording.ticks(5), PD({.stiffness = {1.0}, .damping = {1.0}}), {}); }, "law: ");
 }
 
+void a_cloud_finds_the_nearest_of_its_points() {
+    constexpr size_t count = 3000;
+    std::vector<double> numbers;
+    std::uint32_t state = 7;
+    const auto draw = [&]() { return static_cast<double>((state = state * 1664525U + 1013904223U) >> 8) / (1 << 24); };
+    for (size_t i = 0; i < 3 * count; ++i) { numbers.push_back(i < 300 ? 0.25 : draw()); }  // many are the same point
+    const PointCloud cloud({numbers.data(), count, 3}, 0.01);
+    checks::that(cloud.points().size() == count && cloud.radius() == 0.01, "a cloud has all its points");
+    for (int i = 0; i < 100; ++i) {
+        const Vec3 place = {2.0 * draw() - 0.5, draw(), draw()};
+        double least = 1e9;
+        for (const Vec3 point : cloud.points()) { least = std::min(least, norm(point - place)); }
+        checks::near(cloud.distance(place), least, 1e-15, "the distance is that of the nearest point");
+    }
+    checks::throws<InputError>([] { PointCloud({nullptr, 0, 3}, 0.0); }, "points: the cloud is empty");
+}
+
 }  // namespace
 
 int main() {
@@ -372,6 +390,7 @@ int main() {
     a_loop_follows_the_formula_of_its_law();
     a_delay_gives_the_motors_what_was_commanded_before();
     a_loop_ends_where_something_is_wrong();
+    a_cloud_finds_the_nearest_of_its_points();
     std::printf("%d failures\n", checks::failures);
     return checks::failures == 0 ? 0 : 1;
 }

@@ -118,6 +118,42 @@ CollisionDescription collision_description(Given& given) {
     return model;
 }
 
+// Geoms with their vertices, and pairs, as of a model; `kept_pairs` (K,) of the pairs of the model.
+template <class Given>
+CollisionAdditions collision_additions(Given& given) {
+    CollisionAdditions added{
+        .vertices = {points(given, "vertices"), indices(given.integers("first_neighbor")), indices(given.integers("neighbors"))},
+        .geoms = geoms_of(given),
+        .pairs = pairs_of(given),
+    };
+    for (const std::int64_t is_kept : given.integers("kept_pairs")) { added.kept_pairs.push_back(is_kept != 0); }
+    return added;
+}
+
+CollisionModel with_additions(const CollisionModel& model, CollisionAdditions added,
+                              const std::vector<std::shared_ptr<const PointCloud>>& clouds, const In& cloud_poses) {
+    const Matrix poses = cloud_poses.matrix(clouds.size(), 12, "cloud_poses");
+    for (size_t c = 0; c < clouds.size(); ++c) {
+        const Pose pose = pose_of(poses.row(c));
+        const Bounds& bounds = clouds[c]->tree().bounds();
+        added.geoms.push_back({
+            .kind = ShapeKind::points,
+            .position = pose.translation,
+            .axes = pose.rotation,
+            .center = pose * bounds.center(),
+            .radius = bounds.radius() + clouds[c]->radius(),
+            .cloud = clouds[c],
+        });
+    }
+    return model.with(added);
+}
+
+std::shared_ptr<const PointCloud> make_cloud(const In& points, double radius) {
+    const Matrix rows = points.matrix(points.length("points"), 3, "points");
+    nb::gil_scoped_release release;
+    return std::make_shared<const PointCloud>(rows, radius);
+}
+
 // The positions of all joints at q (n,); the memory is the thread's.
 Vector all_positions(CollisionScene& scene, const In& q) {
     thread_local std::vector<double> positions;
@@ -128,6 +164,15 @@ Vector all_positions(CollisionScene& scene, const In& q) {
 
 void find_all_hits(CollisionScene& scene, const In& q, double clearance, const IntegersOut& hits) {
     scene.all_hits(all_positions(scene, q), clearance, hits.vector(scene.model().pairs.size(), "hits"));
+}
+
+void mark_points(CollisionScene& scene, const In& q, const IntegersIn& geoms, const In& points, double margin, const IntegersOut& marks) {
+    const Matrix rows = points.matrix(points.length("points"), 3, "points");
+    std::vector<size_t> numbers;
+    for (const std::int64_t geom : geoms.vector(geoms.length("geoms"), "geoms")) {
+        numbers.push_back(checked_index(geom, scene.model().geoms.size(), "geoms"));
+    }
+    scene.mark_points(all_positions(scene, q), numbers, rows, margin, marks.vector(rows.rows, "marks"));
 }
 
 std::vector<NearPair> find_near_pairs(CollisionScene& scene, const In& q, const In& moves, double share, const In& clearances) {
@@ -146,13 +191,32 @@ void bind_scene(nb::module_& module) {
         .value("BOX", ShapeKind::box)
         .value("CYLINDER", ShapeKind::cylinder)
         .value("ELLIPSOID", ShapeKind::ellipsoid)
-        .value("PLANE", ShapeKind::plane);
+        .value("PLANE", ShapeKind::plane)
+        .value("POINTS", ShapeKind::points);
+    nb::class_<PointCloud>(module, "PointCloud", "Points that stand, as balls, and a tree over them. Immutable.")
+        .def(nb::new_(&make_cloud), "points"_a, "radius"_a, "From points (N, 3) m in the frame of the cloud, and the radius of each, m.")
+        .def_prop_ro(
+            "size", [](const PointCloud& self) { return self.points().size(); }, "How many points.")
+        .def(
+            "distance", [](const PointCloud& self, const In& place) { return self.distance(vec3(place.vector(3, "place"))); }, "place"_a,
+            "m, of a place (3,) in the frame of the cloud from the nearest point.");
     nb::class_<CollisionModel> bound(module, "CollisionModel",
                                      "What an arm could touch: shapes, the joints that move them, and pairs. Immutable.");
     const auto make = [](CollisionModel* self, CollisionDescription description) { new (self) CollisionModel(std::move(description)); };
     bind_constructor<>(
         bound, "__init__(self", [](auto& given) { return collision_description(given); }, make,
         "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.");
+    bound.def("with_additions", &with_additions, "added"_a, "clouds"_a, "cloud_poses"_a,
+              "The same with further geoms, behind these its clouds at poses (C, 12): the rotation row by row, and the position.");
+    bound.def(
+        "with_margins",
+        [](const CollisionModel& self, const In& margins) { return self.with_margins(margins.vector(self.pairs.size(), "margins")); },
+        "margins"_a, "The same with other margins of the pairs, (K,) m.");
+    nb::class_<CollisionAdditions> additions(module, "CollisionAdditions", "Geoms and pairs that are added to a model.");
+    bind_constructor<>(
+        additions, "__init__(self", [](auto& given) { return collision_additions(given); },
+        [](CollisionAdditions* self, CollisionAdditions added) { new (self) CollisionAdditions(std::move(added)); },
+        "Arrays as of a model, and `kept_pairs` (K,) that says which of its pairs stay; armctl/cpp/collision_model.hpp explains them.");
     bound.def("with_loops", &CollisionModel::with_loops, "loops"_a, "The same of an arm with closed loops.");
     nb::class_<PairDistance>(module, "PairDistance", "A pair and its distance.")
         .def_ro("pair", &PairDistance::pair, "Its row, or the number of pairs where there is none.")
@@ -174,6 +238,8 @@ void bind_scene(nb::module_& module) {
         .def(
             "nearest_pair", [](CollisionScene& self, const In& q) { return self.nearest_pair(all_positions(self, q)); }, "q"_a, Release(),
             "The pair that is nearest to touching at q (n,); a distance at or below zero says that it overlaps.")
+        .def("mark_points", &mark_points, "q"_a, "geoms"_a, "points"_a, "margin"_a, "marks"_a, Release(),
+             "Marks the points (N, 3) m of the world that are not farther than a margin, m, from some geoms (G,) at q (n,).")
         .def("near_pairs", &find_near_pairs, "q"_a, "moves"_a, "share"_a, "clearances"_a, Release(),
              "The pairs that moves (m,) of all joints, or with closed loops (n,), from q (n,) can bring nearer by more than a share of "
              "what is free, which is\n"

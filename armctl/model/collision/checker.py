@@ -11,8 +11,11 @@ import numpy as np
 from armctl._core import Approach, ClearanceProof, CollisionScene, Hit
 from armctl.core.errors import InputError, ModelError, UnknownNameError, few_names
 from armctl.core.validation import Array, BoolArray
+from armctl.model.arm.arm import Arm
 from armctl.model.collision.collision_geometry import Geometry, build_geometry, colliding_pairs, is_convex
 from armctl.model.collision.moving_joints import KeptAxis, MovingJoints, NearPairs
+from armctl.model.collision.world_geometry import add_world
+from armctl.model.collision.world_snapshot import WorldSnapshot
 from armctl.model.mjmodel.closed_loops import pinned_bodies
 from armctl.model.mjmodel.queries import (
     acts,
@@ -65,6 +68,7 @@ class CollisionChecker:
         self._limits = arm.limits
         self._home = arm.home
         self._qpos = arm.home_qpos if qpos is None else np.array(qpos)
+        self._world_names: tuple[str, ...] = ()
         self.not_checkable = why_not_checkable(arm)  # one sentence; empty if contacts can be checked
         geometry = build_geometry(self._model, self._joint_map, self._qpos, dict(held or {}))
         allowed = allowed_geoms(self._model, allow)
@@ -81,6 +85,18 @@ class CollisionChecker:
         """A checker of the same pairs that counts each as touching where it is not farther apart than its clearance (K,), m."""
         checker = copy.copy(self)
         checker._set(self.geometry.with_margins(self.geometry.margins + clearances))
+        return checker
+
+    def with_world(self, arm: Arm, snapshot: WorldSnapshot) -> Self:
+        """A checker of the same, and of the bodies of a world around the arm; made once for each snapshot."""
+        known = snapshot.derived.get(self)
+        if isinstance(known, type(self)):
+            return known
+        world = add_world(arm, self.geometry, self._qpos, snapshot)
+        checker = copy.copy(self)
+        checker._set(world.geometry)
+        checker._world_names = world.names
+        snapshot.derived[self] = checker
         return checker
 
     def proof(self, keep: KeptAxis | None = None) -> ClearanceProof:
@@ -196,7 +212,12 @@ class CollisionChecker:
     def names(self, pair: int) -> tuple[str, str]:
         """What a pair is called: bodies, or geoms that stand in the world."""
         first, second = self.geometry.pair_geoms(pair)
-        return geom_owner_name(self._model, first), geom_owner_name(self._model, second)
+        return self._owner_name(first), self._owner_name(second)
+
+    def _owner_name(self, geom: int) -> str:
+        """The name of a geom of the model, or behind these of a body of the world."""
+        of_world = geom - self._model.ngeom
+        return self._world_names[of_world] if of_world >= 0 else geom_owner_name(self._model, geom)
 
     def refusal(self, hit: Hit) -> str:
         """Why a proof stopped: which bodies would touch, or that closed loops would not close; one sentence."""
@@ -215,7 +236,7 @@ class CollisionChecker:
 
         For motions that are made for simulations as well. A `Robot` refuses them in any case.
         """
-        if has_obstacles(self._model, self._joint_map.joints):
+        if self._world_names or has_obstacles(self._model, self._joint_map.joints):
             self.require_provable()
         self.require_convex()
 

@@ -1,17 +1,18 @@
 """The collision checkers of each arm, made when they are first needed."""
 
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from threading import Lock
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from armctl.core.errors import InputError, ModelError, UnknownNameError
-from armctl.core.validation import Array, number, shown
+from armctl.core.validation import Array, flag, number, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker, allowed_geoms
 from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
+from armctl.model.collision.world_snapshot import WorldLike, read_world
 
 
 def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
@@ -44,9 +45,34 @@ _lock = Lock()
 
 
 def collision_checker(
-    arm: MovingJoints, qpos: Array | None = None, allow: Iterable[tuple[str, str]] = (), held: Mapping[int, int] | None = None
+    arm: MovingJoints,
+    qpos: Array | None = None,
+    allow: Iterable[tuple[str, str]] = (),
+    held: Mapping[int, int] | None = None,
+    world: WorldLike | None = None,
 ) -> CollisionChecker:
-    """As `CollisionChecker(...)`; those of an arm that were used last are kept with it."""
+    """As `CollisionChecker(...)`, in a world; those of an arm that were used last are kept with it.
+
+    A pair in `allow` may name bodies of the world.
+    """
+    allow = read_pairs(allow)
+    snapshot = read_world(world)
+    if snapshot is None:
+        return _own_checker(arm, qpos, allow, held)
+    if not isinstance(arm, Arm):
+        raise InputError("world: only a single arm has a world")
+    carried = {**(held or {}), **snapshot.carried_bodies(arm)}
+    in_world = tuple(pair for pair in allow if not snapshot.bodies.keys().isdisjoint(pair))
+    base = _own_checker(arm, qpos, [pair for pair in allow if pair not in in_world], carried)
+    if in_world:
+        snapshot = snapshot.allowing(in_world)
+    return base.with_world(arm, snapshot)
+
+
+def _own_checker(
+    arm: MovingJoints, qpos: Array | None, allow: Iterable[tuple[str, str]], held: Mapping[int, int] | None
+) -> CollisionChecker:
+    """A checker of what the arm's model has."""
     allow = read_pairs(allow)
     carried = dict(held or {})
     where = b"" if qpos is None else np.array(qpos).tobytes()
@@ -61,9 +87,21 @@ def collision_checker(
         return kept[key]
 
 
-def checkable(arm: MovingJoints) -> CollisionChecker:
+def avoided(arm: Arm, avoid: bool, world: WorldLike | None) -> Callable[[Array], str] | None:
+    """What touches at a configuration (n,), one sentence, for searches that avoid contacts; None for others.
+
+    InputError if there is a world that the search would not look at.
+    """
+    if flag("avoid", avoid):
+        return checkable(arm, world).at
+    if world is not None:
+        raise InputError("world: it is only looked at with avoid=True; give that as well, or leave the world out")
+    return None
+
+
+def checkable(arm: MovingJoints, world: WorldLike | None = None) -> CollisionChecker:
     """The checker of an arm at home; ModelError if a link has no collision shape, so that "no contact" would mean nothing."""
-    checker = collision_checker(arm)
+    checker = collision_checker(arm, world=world)
     if checker.not_checkable:
         raise ModelError(checker.not_checkable)
     return checker

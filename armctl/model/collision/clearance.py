@@ -17,6 +17,7 @@ from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.model.collision.moving_joints import KeptAxis
+from armctl.model.collision.world_snapshot import WorldLike
 
 _NO_PAIRS_M = np.inf
 _UNKNOWN = np.nan
@@ -86,6 +87,7 @@ def check_clearance(
     *,
     keep: str | None = None,
     keep_within: float = KEEP_WITHIN_RAD,
+    world: WorldLike | None = None,
 ) -> ClearanceCheck:
     """Proves that a motion keeps more than a clearance, by bisection with bounds of each link's motion, never by samples.
 
@@ -102,6 +104,7 @@ def check_clearance(
         allow: Pairs of names of bodies or geoms that may touch.
         keep: "x", "y" or "z": the axis of the tip that must keep the direction it has at the start, as for a glass.
         keep_within: rad that this axis may tilt.
+        world: What is around the arm besides its scene: a World, or a snapshot of one.
 
     Returns:
         The check: whether the proof succeeds, and the closest approach.
@@ -122,7 +125,7 @@ def check_clearance(
             f"trajectory: it moves {', '.join(trajectory.joint_names)[:80]}, the arm has {', '.join(arm.joint_names)[:80]}"
         )
     kept = read_kept_axis(arm, keep, keep_within, trajectory(0.0).q)
-    checker = collision_checker(arm, allow=allow)
+    checker = collision_checker(arm, allow=allow, world=world)
     if checker.not_checkable:
         return ClearanceCheck(
             ok=False, distance=_UNKNOWN, time=_UNKNOWN, first="", second="", clearance=clearance, reason=checker.not_checkable

@@ -6,7 +6,7 @@ MuJoCo collides the convex hull of a mesh, so hulls and primitives are its own t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -44,6 +44,10 @@ class Edges(NamedTuple):
     def unknown(cls, vertices: Array) -> Edges:
         """No edges, for hulls of so few vertices that the core tries all of them."""
         return cls(np.zeros(len(vertices), np.int64), np.empty(0, np.int64))
+
+
+_NO_EDGES = Edges.unknown(_NO_VERTICES)
+_CORNER_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
 class GeomShape(NamedTuple):
@@ -101,7 +105,8 @@ class Geometry:
 
     def with_margins(self, margins: Array) -> Geometry:
         """The same geometry with other margins (K,), m."""
-        return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.closure, self.pairs, frozen(margins))
+        margins = np.ascontiguousarray(margins, np.float64)
+        return replace(self, core=self.core.with_margins(margins), margins=frozen(margins))
 
     def moved_by_one_joint(self) -> IntArray:
         """(K,) the joint, a row of the joint map, that alone moves one geom of a pair relative to the other; -1 if more do."""
@@ -172,11 +177,17 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     mujoco.mj_comPos(model, data)
     frames = _frames(model, data, joint_map.joints, held or {})
     pairs = _moving_pairs(model, frames)
-    geom_ids = np.unique(pairs)
+    geom_ids = np.unique(np.concatenate([pairs.ravel(), _touchable_geoms(model)]))
     shapes = [_shape(model, data, int(geom), int(frames.of_body[model.geom_bodyid[geom]])) for geom in geom_ids]
     arrays = _arrays(frames, shapes, joint_map)
     rows = np.searchsorted(geom_ids, pairs)
     return _geometry(frozen(geom_ids), shapes, frames, arrays, joint_map.closure, rows, contact_margins(model, pairs))
+
+
+def _touchable_geoms(model: mujoco.MjModel) -> IntArray:
+    """The convex geoms that are a shape against obstacles, whether or not the model has any: a world that is seen has some."""
+    has_bits = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return np.flatnonzero(has_bits & np.isin(model.geom_type, _CONVEX))
 
 
 def contact_margins(model: mujoco.MjModel, pairs: IntArray) -> Array:
@@ -224,9 +235,6 @@ def _geometry(
 
 def _arrays(frames: Frames, shapes: Sequence[GeomShape], joint_map: JointMap) -> dict[str, Any]:
     """What the core takes, without the pairs."""
-    first_vertex = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
-    counts = [shape.edges.counts for shape in shapes]
-    neighbors = [shape.edges.neighbors + first for shape, first in zip(shapes, first_vertex[:-1], strict=True)]
     return {
         "axes": frames.axes,
         "anchors": frames.anchors,
@@ -237,6 +245,17 @@ def _arrays(frames: Frames, shapes: Sequence[GeomShape], joint_map: JointMap) ->
         "n": joint_map.fixed_ratio.shape[1],
         "ratio": joint_map.fixed_ratio,
         "joint_offset": joint_map.offset,
+        "directions": _depth_directions(),
+        **shape_arrays(shapes),
+    }
+
+
+def shape_arrays(shapes: Sequence[GeomShape]) -> dict[str, Array | IntArray]:
+    """What the core takes of geoms, without the pairs."""
+    first_vertex = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
+    counts = [shape.edges.counts for shape in shapes]
+    neighbors = [shape.edges.neighbors + first for shape, first in zip(shapes, first_vertex[:-1], strict=True)]
+    return {
         "kinds": np.array([int(shape.kind) for shape in shapes], np.int64),
         "frames": np.array([shape.frame for shape in shapes], np.int64),
         "inflations": np.array([shape.inflation for shape in shapes], np.float64),
@@ -249,7 +268,6 @@ def _arrays(frames: Frames, shapes: Sequence[GeomShape], joint_map: JointMap) ->
         "vertices": np.concatenate([_NO_VERTICES, *(shape.vertices for shape in shapes)]),
         "first_neighbor": np.cumsum(np.concatenate([[0], *counts])).astype(np.int64),
         "neighbors": np.concatenate([np.empty(0, np.int64), *neighbors]).astype(np.int64),
-        "directions": _depth_directions(),
     }
 
 
@@ -320,13 +338,28 @@ def _moving_pairs(model: mujoco.MjModel, frames: Frames) -> IntArray:
 
 def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) -> GeomShape:
     """The shape of a geom in the world, where `data` has it."""
-    position = data.geom_xpos[geom].copy()
-    R = data.geom_xmat[geom].reshape(3, 3).copy()
-    size = model.geom_size[geom]
+    place = Place(frame, data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy())
     kind = int(model.geom_type[geom])
+    if kind == _MESH:
+        return hull_shape(place, model.geom_size[geom], *mesh_hull(model, int(model.geom_dataid[geom])))
+    return primitive_shape(place, kind, model.geom_size[geom])
+
+
+class Place(NamedTuple):
+    """Where a geom is at the reference configuration."""
+
+    frame: int
+    position: Array  # (3,) m
+    rotation: Array  # (3, 3)
+
+
+def primitive_shape(place: Place, kind: int, size: Array) -> GeomShape:
+    """A geom of one of MuJoCo's kinds, with MuJoCo's size, other than a mesh."""
+    position = place.position
+    R = place.rotation
     round_shape = GeomShape(
         kind=ShapeKind.HULL,
-        frame=frame,
+        frame=place.frame,
         position=position,
         rotation=R,
         size=size,
@@ -334,7 +367,7 @@ def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) ->
         inflation=0.0,
         center=position,
         bound=np.inf,
-        edges=Edges.unknown(_NO_VERTICES),
+        edges=_NO_EDGES,
     )
     if kind == _PLANE:
         return round_shape._replace(kind=ShapeKind.PLANE)
@@ -351,18 +384,30 @@ def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) ->
         ends = np.array([position - axis, position + axis])
         bound = float(size[0] + size[1])
         return round_shape._replace(vertices=ends, inflation=float(size[0]), bound=bound, edges=Edges.unknown(ends))
-    if kind == _BOX:
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        corners = position + (signs * size) @ R.T
-        bound = float(np.linalg.norm(size))
-        return round_shape._replace(kind=ShapeKind.BOX, vertices=corners, bound=bound, edges=Edges.unknown(corners))
-    vertices, edges = _hull(model, int(model.geom_dataid[geom]))
-    vertices = position + vertices @ R.T
+    corners = position + (_CORNER_SIGNS * size) @ R.T
+    bound = float(np.linalg.norm(size))
+    return round_shape._replace(kind=ShapeKind.BOX, vertices=corners, bound=bound, edges=Edges.unknown(corners))
+
+
+def hull_shape(place: Place, size: Array, vertices: Array, edges: Edges) -> GeomShape:
+    """A convex hull of vertices (V, 3) of its own frame."""
+    vertices = place.position + vertices @ place.rotation.T
     center, bound = bounding_sphere(vertices, np.zeros(len(vertices)))
-    return round_shape._replace(vertices=vertices, center=center, bound=bound, edges=edges)
+    return GeomShape(
+        kind=ShapeKind.HULL,
+        frame=place.frame,
+        position=place.position,
+        rotation=place.rotation,
+        size=size,
+        vertices=vertices,
+        inflation=0.0,
+        center=center,
+        bound=bound,
+        edges=edges,
+    )
 
 
-def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Edges]:
+def mesh_hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Edges]:
     """The vertices of a mesh's convex hull, (V, 3), and its edges, by MuJoCo's own hull graph.
 
     The graph is: numbers of vertices and faces, where the edges of each vertex start, the vertices' numbers, and the edges of

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from armctl._core import Constraint
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
-from armctl.core.validation import flag, frozen, integer
+from armctl.core.validation import frozen, integer
 from armctl.model.arm.arm import Arm
-from armctl.model.collision.checkers import checkable
+from armctl.model.collision.checkers import avoided
+from armctl.model.collision.world_snapshot import WorldLike
 from armctl.plan.ik.closed_form_solutions import Solutions, closed_form_solutions
 from armctl.plan.ik.ik_result import IkBatch, batch_of
 from armctl.plan.ik.numerical_solutions import completed_solutions, numerical_solutions
@@ -35,6 +36,7 @@ def solve_ik_all(
     free_axis: str | None = None,
     avoid: bool = False,
     seed: int = 0,
+    world: WorldLike | None = None,
 ) -> IkBatch:
     """All configurations that bring the tip to a target, inside the joint limits, the nearest to q0 first.
 
@@ -61,6 +63,7 @@ def solve_ik_all(
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which the target may be turned freely.
         avoid: Whether solutions must be free of contact of the arm with itself and with the scene.
+        world: What is around the arm besides its scene, with `avoid`: a World, or a snapshot of one.
 
     Returns:
         The solutions, sorted by their distance from q0. If there is none, the result has one row, which is the best
@@ -87,8 +90,7 @@ def solve_ik_all(
         seed = read_seed(seed)
     if type(limit) is not int or limit < 1:
         limit = integer("limit", limit, 1)
-    if avoid is not False:
-        avoid = flag("avoid", avoid)
+    contact_at = None if avoid is False and world is None else avoided(arm, avoid, world)
     form = chain.closed_form
     if form is not None and form.is_exact and constraint == _POSE:
         found = closed_form_solutions(chain, form, rows, start, position_tolerance, orientation_tolerance, limit)
@@ -97,8 +99,7 @@ def solve_ik_all(
         problem = IkProblem(arm, chain, constraint, goal, start[None], position_tolerance, orientation_tolerance, seed)
         found = _inexact_solutions(problem, limit)
     is_complete = found.is_complete and len(found.q) <= limit
-    if avoid:
-        contact_at = checkable(arm).at
+    if contact_at is not None:
         found = found.select(np.array([k for k, q in enumerate(found.q) if not contact_at(q)], np.int64))
     count = len(found.q)
     if count == 0:
@@ -113,6 +114,7 @@ def solve_ik_all(
                     free_axis=free_axis,
                     avoid=avoid,
                     seed=seed,
+                    world=world,
                 )
             ],
             arm.n,

@@ -17,7 +17,8 @@ from armctl.core.target import TargetLike
 from armctl.core.tip_targets import TipTargets
 from armctl.core.validation import Array, flag, frozen
 from armctl.model.arm.arm import Arm
-from armctl.model.collision.checkers import checkable
+from armctl.model.collision.checkers import avoided
+from armctl.model.collision.world_snapshot import WorldLike
 from armctl.plan.ik import lm
 from armctl.plan.ik.closed_form_solutions import closed_form_solutions
 from armctl.plan.ik.ik_result import IkResult, failure_reason, no_solution_without_contact
@@ -52,6 +53,7 @@ def solve_ik(
     avoid: bool = False,
     seed: int = 0,
     center_of_mass_within: ArrayLike | None = None,
+    world: WorldLike | None = None,
 ) -> IkResult:
     """The configuration that brings the tip to a target, or several tips to theirs, inside the joint limits.
 
@@ -72,6 +74,7 @@ def solve_ik(
             outside the chain is at home.
         center_of_mass_within: (K, 2) m, the corners of a convex polygon on the ground above which the robot's center of mass is
             kept, with targets by tip.
+        world: What is around the arm besides its scene, with `avoid`: a World, or a snapshot of one.
 
     Returns:
         The result. If `ok` is False, it holds the best approximation, and `reason` tells whether the point is out of reach, is
@@ -113,6 +116,7 @@ def solve_ik(
             avoid=avoid,
             seed=seed,
             center_of_mass_within=center_of_mass_within,
+            world=world,
         )
     if type(target) is Pose and free_axis is None:
         constraint = _POSE
@@ -126,12 +130,12 @@ def solve_ik(
         orientation_tolerance = read_tolerance("orientation_tolerance", orientation_tolerance)
     if type(seed) is not int or not 0 <= seed < 2**63:
         seed = read_seed(seed)
-    if nearest is not False or avoid is not False:
+    if nearest is not False or avoid is not False or world is not None:
         starts = read_start(arm, chain, q0)[None]
         problem = IkProblem(
             arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed
         )
-        contact_at = checkable(arm).at if flag("avoid", avoid) else None
+        contact_at = avoided(arm, avoid, world)
         candidates = _candidates(problem, stay_near=q0 is not None)
         if flag("nearest", nearest):
             candidates = itertools.chain(_nearest_candidates(problem), candidates)

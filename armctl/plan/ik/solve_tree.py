@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from armctl.core.tip_targets import TipTargets, read_polygon
 from armctl.core.validation import Array, flag, frozen
 from armctl.model.arm.arm import Arm
-from armctl.model.collision.checkers import checkable
+from armctl.model.collision.checkers import avoided
+from armctl.model.collision.world_snapshot import WorldLike
 from armctl.plan.ik.ik_result import FAR_M, IkResult, no_solution_without_contact
 from armctl.plan.ik.lm import CONTACT_STARTS, LM_STARTS
 from armctl.plan.ik.problem import read_seed, read_starts, read_tolerance
@@ -41,6 +42,7 @@ def solve_tree(
     avoid: bool,
     seed: int,
     center_of_mass_within: ArrayLike | None,
+    world: WorldLike | None,
 ) -> IkResult:
     """The configuration for targets by tip; arguments and errors as for `solve_ik`."""
     tasks = read_tasks(arm, targets, free_axis)
@@ -51,7 +53,7 @@ def solve_tree(
     tree = TreeTasks(arm, tasks, read_polygon("center_of_mass_within", center_of_mass_within))
     start = read_starts(arm, q0, 1)[0]
     goals = tree.targets(start)
-    refusal_at = _refusal(arm, flag("avoid", avoid))
+    refusal_at = _refusal(arm, avoided(arm, avoid, world))
     enough = NEAREST_STARTS if flag("nearest", nearest) else 0
     best: IkResult | None = None
     rank = (False, False, -np.inf)
@@ -81,9 +83,8 @@ def closed_reason(arm: Arm, q: Array) -> str:
     return "" if closure is None else closure.first_refusal(q[None])[1]
 
 
-def _refusal(arm: Arm, avoid: bool) -> Callable[[Array], str]:
+def _refusal(arm: Arm, contact_at: Callable[[Array], str] | None) -> Callable[[Array], str]:
     """What refuses a configuration (n,) at which all tips are: closed loops that do not close there, or a contact."""
-    contact_at = checkable(arm).at if avoid else None
 
     def refusal_at(q: Array) -> str:
         return closed_reason(arm, q) or (contact_at(q) if contact_at is not None else "")

@@ -29,6 +29,7 @@ from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.model.collision.clearance import PiecewiseTrajectory, clearance_of
 from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
+from armctl.model.collision.world_snapshot import WorldLike, WorldSnapshot, read_world
 from armctl.model.mjmodel.queries import object_id
 from armctl.plan.ik.resting_joints import Mask, resting_joints
 from armctl.plan.motion.checks import planning_arm, start_state
@@ -194,6 +195,7 @@ def move_free(
     speed: float = 1.0,
     duration: float | None = None,
     seed: int = 0,
+    world: WorldLike | None = None,
 ) -> JointTrajectory:
     """A motion around obstacles, at rest at its end: jerk-limited, torque-limited, and proved to touch nothing.
 
@@ -219,6 +221,7 @@ def move_free(
         speed: Fraction of the full speed, in (0, 1].
         duration: s, how long it takes; as short as possible if left out.
         seed: Of the random samples.
+        world: What is around the arm besides its scene: a World, or a snapshot of one.
 
     Raises:
         InputError: An argument of the wrong kind, a negative clearance, or an arm without finite limits.
@@ -229,11 +232,14 @@ def move_free(
         UnknownNameError: The model has no body or geom of a name in `allow` or `holding`, or there is no such axis.
     """
     check_arm(arm)
+    snapshot = read_world(world)
     state = start_state(arm, q_start)
     seconds = read_duration(duration)
     start = state.q
     kept = read_kept_axis(arm, keep, keep_within, start)
-    checker = _checker(arm, start, allow, holding)
+    checker = _checker(arm, start, allow, holding, snapshot)
+    if snapshot is not None:
+        arm = snapshot.loaded_arm(arm)
     space = FreeSpace(checker, number("clearance", clearance, 0.0), kept)
     stop = stop_from(planning_arm(arm, 1.0), state)
     if stop is None:
@@ -286,7 +292,13 @@ def move_free_with(
     raise PlanError(refusal)
 
 
-def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: str | Iterable[str] | None) -> CollisionChecker:
+def _checker(
+    arm: Arm,
+    start: Array,
+    allow: Iterable[tuple[str, str]],
+    holding: str | Iterable[str] | None,
+    world: WorldSnapshot | None,
+) -> CollisionChecker:
     if holding is None:
         names = []
     elif isinstance(holding, str):
@@ -296,7 +308,9 @@ def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: 
     else:
         raise InputError(f"holding: expected the name of a body or a list of names, got {shown(holding)}")
     held = {_body(arm, name): arm.tip_body for name in names}
-    return collision_checker(arm, arm.qpos(start) if held else None, allow, held)
+    if world is not None:
+        held |= world.carried_bodies(arm)
+    return collision_checker(arm, arm.qpos(start) if held else None, allow, held, world)
 
 
 def _body(arm: Arm, name: str) -> int:

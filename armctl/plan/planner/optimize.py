@@ -18,6 +18,7 @@ from armctl.core.validation import Array, instance, integer, number
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import collision_checker
 from armctl.model.collision.clearance import ClearanceCheck, clearance_of
+from armctl.model.collision.world_snapshot import WorldLike, read_world
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.torque_limits import InverseDynamics, check_torque, stretch_for
@@ -104,6 +105,7 @@ def optimize(
     allow: Iterable[tuple[str, str]] = (),
     evaluations: int = 300,
     seed: int = 0,
+    world: WorldLike | None = None,
 ) -> OptimizedMotion:
     """A better motion between the ends of a planned one, such as one of `move_free`.
 
@@ -124,6 +126,7 @@ def optimize(
         allow: Pairs of names of bodies or geoms that may touch.
         evaluations: How many motions are computed with their derivatives, at most; each takes 5 to 100 ms.
         seed: Of the random bends.
+        world: What is around the arm besides its scene: a World, or a snapshot of one.
 
     Raises:
         InputError: An argument of a wrong kind or value, or a motion that starts or ends moving.
@@ -131,7 +134,8 @@ def optimize(
         PlanError: The given motion is not proved to keep the clearance.
         UnknownNameError: The model has no body or geom of a name in `allow`.
     """
-    arm = planning_arm(arm, 1.0)
+    snapshot = read_world(world)
+    arm = planning_arm(arm if snapshot is None else snapshot.loaded_arm(arm), 1.0)
     instance("motion", motion, JointTrajectory, "armctl.move_free returns one")
     check_motion(motion, arm.joint_names, what="motion")
     given = zip(MotionMeasures._fields, (time, torque, vibration, distance), strict=True)
@@ -141,7 +145,7 @@ def optimize(
     for t in (0.0, motion.duration):
         if np.abs(motion(t).v).max() > 1e-9:
             raise InputError("motion: it starts or ends moving; expected one from rest to rest")
-    space = FreeSpace(collision_checker(arm, None, allow), number("clearance", clearance, 0.0))
+    space = FreeSpace(collision_checker(arm, None, allow, world=snapshot), number("clearance", clearance, 0.0))
     space.checker.require_provable()
     given_clearance = clearance_of(space.checker, motion, space.clearance)
     if not given_clearance.ok:

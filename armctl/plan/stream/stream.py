@@ -17,9 +17,10 @@ from armctl.core.pose import Pose, computed_pose
 from armctl.core.target import Target, TargetLike
 from armctl.core.tip_targets import Stay, TipTargets, targets_by_tip
 from armctl.core.trajectory import Setpoint, TickReference
-from armctl.core.validation import Array, flag, instance, integer, matrix, number, shown, vector
+from armctl.core.validation import Array, instance, integer, matrix, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
-from armctl.model.collision.checkers import checkable
+from armctl.model.collision.checkers import avoided, checkable
+from armctl.model.collision.world_snapshot import WorldLike
 from armctl.plan.ik.differential import DifferentialIk
 from armctl.plan.ik.ik_result import FAR_M
 from armctl.plan.ik.solve import solve_ik
@@ -111,6 +112,7 @@ class Stream:
         speed: float = 1.0,
         avoid: bool = False,
         refusal: Callable[[Pieces], str] | None = None,
+        world: WorldLike | None = None,
     ):
         """A stream whose time begins at 0.
 
@@ -121,6 +123,8 @@ class Stream:
             avoid: Whether each motion is proved free of contact with the scene as it is at home before it is taken.
             refusal: Why a motion, given as polynomials from now on, may not be made; empty if it may. Where a motion is
                 refused, the arm moves as far towards it as a shorter one may be made.
+            world: What is around the arm besides its scene, with `avoid`: a World, of which each motion is proved in the newest
+                state, or a snapshot of one.
 
         Raises:
             InputError: A wrong length or type, a number that is not finite, or an arm without limits on velocity,
@@ -130,7 +134,9 @@ class Stream:
         """
         self._arm = planning_arm(arm, number("speed", speed, 1e-3, 1.0))
         start = start_state(self._arm, q_start)
-        checker = checkable(self._arm) if flag("avoid", avoid) else None
+        avoided(self._arm, avoid, world)
+        self._world = world
+        checker = checkable(self._arm, world) if avoid else None
         if refusal is not None and not callable(refusal):
             raise InputError(f"refusal: expected a function of a motion's pieces, got {shown(refusal)}")
         self._planner = CommittedMotion(self._arm, checker, refusal)
@@ -453,6 +459,8 @@ class Stream:
         self._sums += np.array([v @ error, v @ v, error @ error / len(q), 1.0])
 
     def _plan(self) -> None:
+        if self._world is not None:
+            self._planner.checker = checkable(self._arm, self._world)  # the newest one
         pieces = self._planner.plan(self._state(), self._t, self._targets.knots(self._t))
         self._obstacle = self._planner.obstacle
         if pieces is None:
