@@ -62,11 +62,8 @@ def collision_checker(
     if not isinstance(arm, Arm):
         raise InputError("world: only a single arm has a world")
     carried = {**(held or {}), **snapshot.carried_bodies(arm)}
-    in_world = tuple(pair for pair in allow if not snapshot.bodies.keys().isdisjoint(pair))
-    base = _own_checker(arm, qpos, [pair for pair in allow if pair not in in_world], carried)
-    if in_world:
-        snapshot = snapshot.allowing(in_world)
-    return base.with_world(arm, snapshot)
+    own_pairs, snapshot = snapshot.allowing(allow)
+    return _own_checker(arm, qpos, own_pairs, carried).with_world(arm, snapshot)
 
 
 def _own_checker(

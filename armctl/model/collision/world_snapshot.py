@@ -67,11 +67,19 @@ class WorldSnapshot:
         """Whether it changes nothing."""
         return not self.bodies and not self.allowed
 
-    def allowing(self, pairs: Iterable[tuple[str, str]]) -> WorldSnapshot:
-        """The same, in which further pairs may touch."""
-        return WorldSnapshot(
-            version=self.version, bodies=self.bodies, allowed=self.allowed | {(one, other) for one, other in pairs}
-        )
+    def allowing(self, pairs: Iterable[tuple[str, str]]) -> tuple[list[tuple[str, str]], WorldSnapshot]:
+        """The pairs of names that are none of its bodies, and the same snapshot, in which the other pairs may touch."""
+        own: list[tuple[str, str]] = []
+        further: set[tuple[str, str]] = set()
+        for pair in pairs:
+            is_pair = isinstance(pair, (tuple, list)) and len(pair) == 2 and all(isinstance(name, str) for name in pair)
+            if is_pair and not self.bodies.keys().isdisjoint(pair):
+                further.add((pair[0], pair[1]))
+            else:
+                own.append(pair)
+        if further <= self.allowed:
+            return own, self
+        return own, WorldSnapshot(version=self.version, bodies=self.bodies, allowed=self.allowed | further)
 
     def carried_bodies(self, arm: Arm) -> dict[int, int]:
         """The attached bodies of the arm's model, and the body of the tip that carries each."""

@@ -19,9 +19,10 @@ from armctl.core.target import Target, TargetLike
 from armctl.core.tip_targets import TipTargets
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import Array, flag, number
-from armctl.model.arm.arm import check_one_tip
+from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
+from armctl.model.collision.world import World
 from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.plan.ik.region import Region
 from armctl.plan.ik.tree_problem import read_tasks
@@ -31,6 +32,7 @@ from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.move_free import FreeSpace
+from armctl.run.execution.arm_world import ArmWorld
 from armctl.run.execution.move import (
     ControlledArm,
     PlannedMove,
@@ -72,6 +74,8 @@ class Commands:
         arm: The model of the arm, whose limits hold for all motions.
         model: The MuJoCo model of the scene.
         data: Its MjData, for reading.
+        world: What is seen around the arm, besides its scene. All moves that avoid contact keep clear of it, in its state when
+            they are planned; the physics of a simulation does not contain it.
     """
 
     def __init__(self, controlled: ControlledArm):
@@ -80,7 +84,8 @@ class Commands:
         self.arm = controlled.arm
         self.model = controlled.drive.model
         self.data = controlled.drive.data
-        self._obstacles = Obstacles(self.arm, self.data)
+        self.world: World = ArmWorld(self.arm, partial(controlled.drive.tip_pose, self.arm))
+        self._obstacles = Obstacles(self.arm, self.data, self.world)
 
     @property
     def log(self) -> Log | None:
@@ -180,9 +185,9 @@ class Commands:
             raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
         space = None if checker is None else FreeSpace(checker, keep=kept)
         if region is not None:
-            plan = partial(plan_into, self.arm, region, self._start, speed, space)
+            plan = partial(plan_into, self._loaded_arm, region, self._start, speed, space)
         else:
-            plan = partial(plan_to, self.arm, goal, self._start, speed, space)
+            plan = partial(plan_to, self._loaded_arm, goal, self._start, speed, space)
         return self._move(goal, partial(plan_lasting, self.arm, plan, read_duration(duration)))
 
     def move_j(
@@ -217,7 +222,7 @@ class Commands:
 
         def plan() -> PlannedMove:
             if checker is not None:
-                return plan_free(self.arm, goal, self._start, configuration, speed, FreeSpace(checker))
+                return plan_free(self._loaded_arm, goal, self._start, configuration, speed, FreeSpace(checker))
             return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, configuration, speed=speed))
 
         return self._move(goal, partial(plan_lasting, self.arm, plan, read_duration(duration)))
@@ -370,7 +375,9 @@ class Commands:
         checker = self._checker(avoid, allow)
         space = None if checker is None else FreeSpace(checker)
         goal = Target.read(self.tip)
-        plan = partial(plan_lasting, self.arm, partial(plan_by_tip, self.arm, targets, self._start, speed, space), duration)
+        plan = partial(
+            plan_lasting, self.arm, partial(plan_by_tip, self._loaded_arm, targets, self._start, speed, space), duration
+        )
         return self._controlled.move(self._controlled.planned(goal, plan))
 
     def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:
@@ -396,6 +403,11 @@ class Commands:
         if not flag("avoid", avoid):
             return None
         return self._obstacles.checker(allow, self._held)
+
+    @property
+    def _loaded_arm(self) -> Arm:
+        """The arm with what the world attaches to its tips, as plans need it."""
+        return self.world.snapshot().loaded_arm(self.arm)
 
     @property
     def _held(self) -> dict[str, int]:

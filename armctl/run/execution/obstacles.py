@@ -12,6 +12,8 @@ from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import collision_checker, read_pairs
+from armctl.model.collision.world import World
+from armctl.model.collision.world_snapshot import WorldSnapshot, read_world
 from armctl.model.mjmodel.queries import acts, body_name
 
 _KEPT_CHECKERS = 4  # of the last scenes: building one takes longer than planning in it
@@ -23,8 +25,9 @@ _NOTHING: Mapping[str, int] = MappingProxyType({})
 class Obstacles:
     """Collision checkers of an arm among loose bodies, fingers and other arms, where a simulation has them now."""
 
-    def __init__(self, arm: Arm, data: mujoco.MjData):
+    def __init__(self, arm: Arm, data: mujoco.MjData, world: World | None = None):
         self._arm = arm
+        self._world = world  # what is seen besides
         self._data = data
         self._is_own = np.zeros(arm.model.nq, bool)
         self._is_own[arm.joint_map.qpos_adr] = True
@@ -35,10 +38,12 @@ class Obstacles:
         """A checker of the scene up to displacements of half a millimeter. Building a new one takes tens of milliseconds."""
         outside = self._data.qpos[~self._is_own]
         recent = self._recent
-        if recent is None or recent.held != dict(held) or np.abs(outside - recent.outside).max(initial=0.0) > _NOTICED_M:
-            recent = _Recent(self.checker(held=held), outside, dict(held))
+        snapshot = read_world(self._world)
+        carried = self._carried(snapshot, held)
+        if recent is None or recent.held != carried or np.abs(outside - recent.outside).max(initial=0.0) > _NOTICED_M:
+            recent = _Recent(self._own_checker((), carried), outside, carried)
             self._recent = recent
-        return recent.checker
+        return recent.checker if snapshot is None else recent.checker.with_world(self._arm, snapshot)
 
     def checker(self, allow: Iterable[tuple[str, str]] = (), held: Mapping[str, int] = _NOTHING) -> CollisionChecker:
         """A checker of the scene as it is, in which pairs of names of bodies or geoms may touch.
@@ -46,8 +51,22 @@ class Obstacles:
         A held body moves with a tip's body, whose number is its value in `held`, and may keep the contacts it has now, such as
         with the table it was picked from.
         """
+        snapshot = read_world(self._world)
+        pairs = read_pairs(allow)
+        if snapshot is None:
+            return self._own_checker(pairs, held)
+        own_pairs, snapshot = snapshot.allowing(pairs)
+        return self._own_checker(own_pairs, self._carried(snapshot, held)).with_world(self._arm, snapshot)
+
+    def _carried(self, snapshot: WorldSnapshot | None, held: Mapping[str, int]) -> dict[str, int]:
+        """What is held, and the bodies of the model that are attached to a tip, by the number of the body that carries each."""
+        attached = {} if snapshot is None else snapshot.carried_bodies(self._arm)
+        return {**held, **{self._arm.model.body(body).name: carrier for body, carrier in attached.items()}}
+
+    def _own_checker(self, allow: Iterable[tuple[str, str]], held: Mapping[str, int]) -> CollisionChecker:
+        """A checker of what the model has."""
         kept = [pair for body in held for pair in touched_by(self._arm.model, self._data, body)]
-        allowed = [*read_pairs(allow), *kept]
+        allowed = [*allow, *kept]
         qpos = np.array(self._data.qpos)
         outside = qpos[~self._is_own]
         is_home = not held and np.abs(outside - self._arm.home_qpos[~self._is_own]).max(initial=0.0) < _SAME_M
@@ -70,7 +89,7 @@ class Obstacles:
 
 
 class _Recent(NamedTuple):
-    checker: CollisionChecker
+    checker: CollisionChecker  # of what the model has
     outside: Array
     held: dict[str, int]
 
