@@ -54,7 +54,7 @@ def film_name(camera: str) -> str:
     return f"observation.images.{camera}"
 
 
-class _Film:
+class _CameraFilm:
     """The pictures of one camera, in files that grow up to a size."""
 
     def __init__(self, folder: Path, name: str, rate: int, size: tuple[int, int]):
@@ -140,7 +140,7 @@ class LeRobotWriter:
         self._rate = frames_per_second
         self._robot = robot
         self._features = {**features, **{name: Feature(dtype) for name, dtype in _INDICES.items()}}
-        self._films = {name: _Film(folder, name, frames_per_second, size) for name, size in films.items()}
+        self._films = {name: _CameraFilm(folder, name, frames_per_second, size) for name, size in films.items()}
         self._tasks: list[str] = []
         self._rows: list[dict[str, Any]] = []
         self._statistics: list[dict[str, Statistics]] = []
