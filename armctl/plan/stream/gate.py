@@ -14,7 +14,9 @@ from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, matrix, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
+from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import checkable
+from armctl.model.collision.world_snapshot import WorldLike, WorldSnapshot, read_world
 from armctl.plan.ik.differential import DifferentialIk
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
@@ -43,18 +45,21 @@ class Gate:
         print(answer)
     ```
 
-    It is no safety function: it knows the bodies that it is told.
+    A world may change between two calls; `gate.admit(motion, at=t)` says whether the motion that runs may go on in it. It is no
+    safety function: it knows the bodies that it is told.
 
     Attributes:
         arm: The arm, with its limits at the gate's speed.
         clearance: m.
     """
 
-    def __init__(self, arm: Arm, *, speed: float = 1.0, clearance: float = LIVE_CLEARANCE_M):
+    def __init__(self, arm: Arm, world: WorldLike | None = None, *, speed: float = 1.0, clearance: float = LIVE_CLEARANCE_M):
         """A gate.
 
         Args:
             arm: The arm, in its scene.
+            world: What is around the arm besides its scene, and what it carries: a World, of which each call takes the newest
+                state, or a snapshot of one.
             speed: Factor on the limits, in (0, 1].
             clearance: m, that a motion keeps. One that begins nearer to something keeps half of the distance there.
 
@@ -64,17 +69,23 @@ class Gate:
         """
         self.arm = planning_arm(arm, number("speed", speed, 1e-3, 1.0))
         self.clearance = number("clearance", clearance, 0.0)
-        self._checker = checkable(self.arm)
-        self._checker.require_provable()
+        self._world = world
+        self._checker_in(read_world(world))
 
     @cached_property
     def _ik(self) -> DifferentialIk:
         """Made at its first use, because its imports take long."""
         return DifferentialIk(self.arm)
 
+    def _checker_in(self, world: WorldSnapshot | None) -> CollisionChecker:
+        """The checker in a snapshot of the world."""
+        checker = checkable(self.arm, world)
+        checker.require_provable()
+        return checker
+
     def refusal(self, pieces: Pieces) -> str:
         """Why a motion, given as polynomials from now on, is not proved clear; empty if it is. For `Stream(refusal=...)`."""
-        refused = contact_refusal(self._checker, pieces, self.clearance)
+        refused = contact_refusal(self._checker_in(read_world(self._world)), pieces, self.clearance)
         return "" if refused is None else refused.reason
 
     def admit(
@@ -118,7 +129,9 @@ class Gate:
         if running is None and not what:
             raise InputError("admit: nothing is asked for; give one of q, tip and twist, or a motion as the state")
         start = start_state(self.arm, state if running is None else _first(running))  # type: ignore[arg-type]
-        admission = Admission(self.arm, self._checker, self.clearance, start, running)
+        world = read_world(self._world)
+        arm = self.arm if world is None else world.loaded_arm(self.arm)
+        admission = Admission(arm, self._checker_in(world), self.clearance, start, running)
         if admission.blocked is not None:
             return admission.refused(admission.blocked, start.q)
         if twist is not None:

@@ -153,6 +153,58 @@ def test_near_an_obstacle_an_arm_that_moves_is_slowed_down_instead_of_stopped(ar
     assert_may_be_sent(arm, answer, start)
 
 
+def test_a_motion_that_runs_brakes_before_what_appears_on_its_way_and_passes_what_does_not(arm_at_a_wall):
+    arm = arm_at_a_wall
+    world = armctl.World()
+    gate = armctl.Gate(arm, world)
+    turned = arm.home + np.array([1.5, 0.3, 0.0, 0.0, 0.0, 0.0])
+    motion = gate.admit(arm.home, q=turned).motion
+    at = 0.3 * motion.duration
+    world.add("beside", armctl.Ball(0.1), [-0.5, -0.5, 0.3])
+    answer = gate.admit(motion, at=at)
+    assert answer
+    assert answer.motion.duration == pytest.approx(motion.duration - at)
+    world.add("ball", armctl.Ball(0.05), arm.fk(turned).position)
+    answer = gate.admit(motion, at=at)
+    assert not answer
+    assert answer.proved
+    assert "ball" in answer.bodies
+    assert 0.0 < answer.time < motion.duration - at
+    assert answer.motion.duration < motion.duration - at
+    assert answer.motion(0.0).q == pytest.approx(motion(at).q, abs=1e-9)
+    checker = collision_checker(arm, world=world)
+    assert all(checker.hit(q) < 0 for q in answer.motion.sample(np.linspace(0.0, answer.motion.duration, 200)).q)
+    world.remove("ball")
+    assert gate.admit(motion, at=at)
+
+
+def test_what_the_arm_carries_is_proved_clear_too(arm_at_a_wall):
+    arm = arm_at_a_wall
+    bent = towards_the_wall(arm, 1, 0.3)[0]
+    world = armctl.World()
+    gate = armctl.Gate(arm, world)
+    assert gate.admit(arm.home, q=bent)
+    world.add("stick", armctl.Box([0.5, 0.02, 0.02])).attach("stick", [0.25, 0.0, 0.0])
+    answer = gate.admit(arm.home, q=bent)
+    assert not answer
+    assert set(answer.bodies) == {"stick", "wall"}
+    checker = collision_checker(arm, world=world)
+    assert checker.hit(answer.nearest, gate.clearance) < 0
+
+
+def test_points_are_bodies_too(arm_at_a_wall):
+    arm = arm_at_a_wall
+    turned = arm.home + np.array([1.5, 0.3, 0.0, 0.0, 0.0, 0.0])
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(300, 3))
+    points = arm.fk(turned).position + 0.08 * directions / np.linalg.norm(directions, axis=1)[:, None]
+    answer = armctl.Gate(arm, armctl.World().add("seen", armctl.Points(points, radius=0.01))).admit(arm.home, q=turned)
+    assert not answer
+    assert "seen" in answer.bodies
+    assert answer.proved
+    assert np.linalg.norm(arm.fk(answer.nearest).position - points, axis=1).min() > 0.01
+
+
 def test_a_target_beyond_a_limit_is_refused_and_the_nearest_one_is_inside(arm):
     q = arm.limits.q_max + np.array([0.1, *np.zeros(arm.n - 1)])
     answer = armctl.Gate(arm).admit(free_configurations(arm, 1, 0)[0], q=q)
