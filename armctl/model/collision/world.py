@@ -14,8 +14,8 @@ from armctl.core.tables import Table
 from armctl.core.validation import instance, number, vector
 from armctl.model.collision.world_snapshot import WorldBody, WorldSnapshot
 
-_MIN_MASS_KG = 1e-6
-_MAX_SHOWN_NAMES = 6
+_LIGHTEST_BODY_KG = 1e-6
+_NAMES_IN_REPR = 6
 _SHAPES = (Box, Ball, Cylinder, Mesh, Points)
 
 
@@ -72,7 +72,7 @@ class World:
         checked_name(name)
         instance("shape", shape, _SHAPES, "armctl.Box([0.1, 0.1, 0.1]) is one")
         if mass is not None:
-            mass = number("mass", mass, _MIN_MASS_KG)
+            mass = number("mass", mass, _LIGHTEST_BODY_KG)
             if isinstance(shape, Points):
                 raise InputError("mass: points are no body that could be loose; give an armctl.Mesh or an armctl.Box a mass")
         body = WorldBody(name=name, shape=shape, pose=_pose(at), mass=mass)
@@ -204,8 +204,8 @@ class World:
 
     def __repr__(self) -> str:
         names = self.names
-        more = f" and {len(names) - _MAX_SHOWN_NAMES} more" if len(names) > _MAX_SHOWN_NAMES else ""
-        return f"World({', '.join(f'{name:.60}' for name in names[:_MAX_SHOWN_NAMES])}{more})"
+        more = f" and {len(names) - _NAMES_IN_REPR} more" if len(names) > _NAMES_IN_REPR else ""
+        return f"World({', '.join(f'{name:.60}' for name in names[:_NAMES_IN_REPR])}{more})"
 
     def _repr_html_(self) -> str:
         rows = []

@@ -68,7 +68,14 @@ class WorldSnapshot:
         return not self.bodies and not self.allowed
 
     def allowing(self, pairs: Iterable[tuple[str, str]]) -> tuple[list[tuple[str, str]], WorldSnapshot]:
-        """The pairs of names that are none of its bodies, and the same snapshot, in which the other pairs may touch."""
+        """Divides pairs of names that may touch into those of the arm's model and those of this world.
+
+        Args:
+            pairs: Pairs of names of bodies or geoms.
+
+        Returns:
+            The pairs of which none is a body of the world, and the same snapshot, in which the other pairs may touch.
+        """
         own: list[tuple[str, str]] = []
         further: set[tuple[str, str]] = set()
         for pair in pairs:
@@ -82,7 +89,11 @@ class WorldSnapshot:
         return own, WorldSnapshot(version=self.version, bodies=self.bodies, allowed=self.allowed | further)
 
     def carried_bodies(self, arm: Arm) -> dict[int, int]:
-        """The attached bodies of the arm's model, and the body of the tip that carries each."""
+        """The attached bodies of the arm's model.
+
+        Returns:
+            The number of each in the model, with that of the body of the tip that carries it.
+        """
         of_tip = {frame.name: frame.body for frame in arm.tip_frames}
         return {
             arm.model.body(body.name).id: of_tip[checked_tip(arm, body)]
