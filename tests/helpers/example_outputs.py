@@ -7,8 +7,8 @@ from printed_outputs import difference
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-# JAX and PyTorch start threads, after which other tests of the process could not fork.
-APART = [path for path in EXAMPLES if re.search("jax|stable_baselines3", path.read_text(encoding="utf-8"))]
+# Dask, JAX and PyTorch start threads, after which other tests of the process could not fork.
+APART = [path for path in EXAMPLES if re.search("dask|jax|stable_baselines3", path.read_text(encoding="utf-8"))]
 
 # Training and rounding in single precision have other numbers on another processor: the words of these must agree, and the
 # numbers that a pattern finds are within bounds.

@@ -96,6 +96,7 @@ LONG = {
     "many-runs.md",
     "motion.md",
     "notebooks.md",
+    "own-controller.md",
     "plants.md",
 }
 

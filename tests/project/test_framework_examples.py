@@ -1,4 +1,4 @@
-"""Every example with JAX or PyTorch runs, in a process of its own."""
+"""Every example with Dask, JAX or PyTorch runs, in a process of its own."""
 
 import subprocess
 import sys
