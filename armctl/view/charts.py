@@ -11,18 +11,24 @@ from armctl.core.plotting import COLORS
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import Array
 from armctl.view.realtime.history import DURATION_S, HistorySamples
+from armctl.view.status_text import MIN_SHOWN_MM
 
 if TYPE_CHECKING:
     import viser
     from viser import uplot
 
-_MIN_SHOWN_MM = 1e-2  # the scale is logarithmic: smaller errors are drawn at this value
 _MAX_SHOWN_MM = 3e3  # leaves room above the last label, 1000
 _SAMPLES_PER_POINT = 4
 _ERROR_CHART_HEIGHT_PX = 150
 _TORQUE_CHART_HEIGHT_PX = 150
 _BOUND_COLOR = "#555555"
 _TORQUE_RANGE_PERCENT = (0.0, 115.0)
+# The numbers of the errors are in the text above the charts, once.
+_ERROR_LINES = [
+    (COLORS[2], "to the target", ""),
+    (COLORS[0], "to its reference", ""),
+    (_BOUND_COLOR, "tolerance", f"{1e3 * TOLERANCE:g} mm"),
+]
 
 
 class Charts:
@@ -36,12 +42,12 @@ class Charts:
             _errors(samples),
             (_TIME, _line("to the target", COLORS[2]), _line("to its reference", COLORS[0]), _bound("tolerance")),
             title=f"tip error, mm (logarithmic), last {DURATION_S:g} s",
-            scales={"x": _SPAN, "y": {"distr": 3, "range": (_MIN_SHOWN_MM, _MAX_SHOWN_MM)}},
+            scales={"x": _SPAN, "y": {"distr": 3, "range": (MIN_SHOWN_MM, _MAX_SHOWN_MM)}},
             axes=({}, {"grid": {"show": False}, "ticks": {"show": False}}),
             legend=_LEGEND,
             height=_ERROR_CHART_HEIGHT_PX,
         )
-        self._error_legend = server.gui.add_html(_error_legend(samples))
+        server.gui.add_html(_legend(_ERROR_LINES))
         self._torque = server.gui.add_uplot(
             _torques(samples),
             (_TIME, _line("largest", COLORS[1]), _bound("limit")),
@@ -58,7 +64,6 @@ class Charts:
         self._last_t = samples.t[-1]
         self._error.data = _errors(samples)
         self._torque.data = _torques(samples)
-        self._error_legend.content = _error_legend(samples)
         self._torque_legend.content = _torque_legend(samples, self._joint_names)
 
     @property
@@ -80,23 +85,9 @@ def _bound(label: str) -> uplot.Series:
     return {**_line(label, _BOUND_COLOR), "width": 1.0}
 
 
-def _error_legend(samples: HistorySamples) -> str:
-    return _legend(
-        [
-            (COLORS[2], "to the target", _millimeters(1e3 * samples.to_target[-1])),
-            (COLORS[0], "to its reference", _millimeters(1e3 * samples.to_reference[-1])),
-            (_BOUND_COLOR, "tolerance", f"{1e3 * TOLERANCE:g} mm"),
-        ]
-    )
-
-
 def _torque_legend(samples: HistorySamples, joint_names: tuple[str, ...]) -> str:
     shares = np.nan_to_num(100 * samples.torque_share[-1])
     return _legend([(_BOUND_COLOR, name, f"{round(shares[i])} %") for i, name in enumerate(joint_names)])
-
-
-def _millimeters(value: float) -> str:
-    return "-" if np.isnan(value) else f"{max(value, _MIN_SHOWN_MM):.3g} mm"
 
 
 def _legend(entries: list[tuple[str, str, str]]) -> str:
@@ -112,7 +103,7 @@ def _errors(samples: HistorySamples) -> tuple[Array, ...]:
     rows = _shown_rows(samples)
     age = samples.t[rows] - samples.t[-1]
     columns = (samples.to_target, samples.to_reference)
-    lines = [np.maximum(1e3 * column[rows], _MIN_SHOWN_MM) for column in columns]
+    lines = [np.maximum(1e3 * column[rows], MIN_SHOWN_MM) for column in columns]
     return age, *lines, np.full_like(age, 1e3 * TOLERANCE)
 
 

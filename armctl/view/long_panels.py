@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
-from armctl.core.units import length_text
-from armctl.lab.comparison import compare, out_and_back
+from armctl.core.tables import Table
+from armctl.lab.comparison import WITH_ENCODER, compare, out_and_back
 from armctl.model.arm.arm import Arm
 from armctl.plan.ik.reachability import reachability
 from armctl.report.plot import overlay_image
-from armctl.report.report import Report
-from armctl.run.sim.plant import Plant
+from armctl.report.report import Report, report_columns
 from armctl.view.realtime.session import RealTimeSession
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 _POINT_SIZE_SPACINGS = 0.08
 _EXPLANATION = "Computed once, with one thread. Contacts are not considered."
+_COLUMNS = ("controller", "tip RMS", "final tip error", "peak torque", "chatter")
 _LEGEND = "From dark blue (few of the orientations) to yellow (most of them)."
 
 
@@ -33,7 +35,8 @@ class ComparisonPanel:
         with server.gui.add_folder("Comparison", expand_by_default=False) as self._folder:
             self._button = server.gui.add_button("compare the controllers")
             self._text = server.gui.add_markdown(
-                "All joints out and back at full speed, under every controller at its default gains, with this payload."
+                "All joints out and back at full speed, under every controller at its default gains, with this payload and "
+                f"an encoder noise of {WITH_ENCODER.encoder_noise:g} rad. The smallest error is first."
             )
         self._picture: viser.GuiImageHandle | None = None
         self._button.on_click(self._clicked)
@@ -51,7 +54,7 @@ class ComparisonPanel:
         session.pause(True)
         try:
             self._text.content = "comparing ..."
-            plant = Plant(payload=status.payload)
+            plant = replace(WITH_ENCODER, payload=status.payload)
             reports = compare(session.arm, list(CONTROLLERS), out_and_back(session.arm), [plant], configurations=0)
             if self._worker.is_closed:
                 return
@@ -69,12 +72,11 @@ class ComparisonPanel:
                 self._button.disabled = False
 
 
-def _table(reports: list[Report]) -> str:
-    rows = ["| | tip RMS | at the end | peak torque |", "| - | - | - | - |"]
-    for r in reports:
-        cells = r.controller, length_text(r.tip_rms_m), length_text(r.final_tip_error_m), f"{100 * r.peak_torque_ratio:.0f} %"
-        rows.append(f"| {' | '.join(cells)} |")
-    return "\n".join(rows)
+def _table(reports: Sequence[Report]) -> str:
+    """The columns of a comparison that fit into the panel, the smallest error first."""
+    ordered = sorted(reports, key=lambda report: report.tip_rms_m)
+    columns = [column for column in report_columns(reports) if column.title.startswith(_COLUMNS)]
+    return Table([column.title for column in columns], [[column.cell(r) for column in columns] for r in ordered]).markdown()
 
 
 class ReachabilityPanel:

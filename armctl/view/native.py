@@ -50,7 +50,7 @@ def view_natively(arm: Arm, controller: str) -> None:
                     _show(status, model, data)
                 if target != status.target or (was_held and not is_held):
                     session.aim(target, held=is_held)
-                window.set_texts((None, mujoco.mjtGridPos.mjGRID_TOPLEFT, describe(status), ""))
+                window.set_texts((None, mujoco.mjtGridPos.mjGRID_TOPLEFT, describe(status, is_held=is_held), ""))
                 window.sync()
                 time.sleep(_DRAW_INTERVAL_S)
     finally:

@@ -68,6 +68,10 @@ class Demonstration:
         if status.paused or not any(status.target is pose for pose in self._sent):
             self.is_over = True
             return
+        if status.activity is Activity.BLOCKED:  # no room to go around: the target goes back to where the arm reached it
+            self.is_over = True
+            self._session.aim(self._start)
+            return
         if self._begins_at is None:
             self._begins_at = now + _REST_S
         rounds = max(0.0, now - self._begins_at) / _ROUND_S

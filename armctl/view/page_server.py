@@ -43,6 +43,16 @@ _STYLE = """
   --mantine-primary-color-filled-hover: #134f87 !important;
   --mantine-color-custom-outline: #1864ab !important;
 }
+.mantine-ScrollArea-content { box-sizing: border-box; max-width: 100%; padding-right: 0.6rem; }
+/* What the arm does stays at the top of the panel, beside every input; a clipped box, unlike a hidden one, lets it. */
+.mantine-ScrollArea-content div[style*="overflow: hidden"] {
+  overflow: clip !important; min-width: 0; min-height: 0;
+}
+.mantine-ScrollArea-content div:first-child:has(> p.mantine-Text-root) {
+  position: sticky; top: 0; z-index: 5; background: var(--mantine-color-body);
+}
+#webgl-software-rendering { animation: fade 0.5s 6s forwards; }
+@keyframes fade { to { opacity: 0; visibility: hidden; } }
 .mantine-Slider-markLabel { color: #495057 !important; margin-top: 0.25rem; }
 div, label, p, input { letter-spacing: normal !important; }
 @media (max-width: 600px) {

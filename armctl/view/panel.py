@@ -63,6 +63,7 @@ class Panel:
         self._add_clock()
         self._add_plant()
         self._add_motion()
+        self._comparison = ComparisonPanel(server, session)  # near the top, so that its table opens in the window
         with server.gui.add_folder("Charts"):
             self.charts = Charts(server, session.arm.joint_names, session.history.read())
         target.add_fields()
@@ -70,13 +71,18 @@ class Panel:
         self._add_gripper()
         self._reachability = ReachabilityPanel(server, session.arm, root)
         self.pictures = PicturePanel(server, session)
-        self._comparison = ComparisonPanel(server, session)
 
     def update(self, status: Status, notice: str = "") -> None:
         samples = self._session.history.read()
         refused = status.activity in (Activity.BLOCKED, Activity.OUT_OF_REACH)
         hint = _ORIENTATION_HINT if is_only_orientation_out_of_reach(status) else _REFUSED_HINT if refused else _HINT
-        lines = [notice, f"**{describe(status)}**", describe_contacts(status), hint, self._shape_note]
+        lines = [
+            notice,
+            f"**{describe(status, is_held=self._target.is_held)}**",
+            describe_contacts(status),
+            hint,
+            self._shape_note,
+        ]
         self._text.content = "\n\n".join(line for line in lines if line)
         self._readings.content = readings(samples, self._session.arm.joint_names, status.real_time_factor * status.speed)
         self._contact_arrows.show(status.contacts)

@@ -60,7 +60,7 @@ class ArmControls:
     def write(self, notice: str = "") -> None:
         """Writes what the session does, below a notice of the page, and updates the panel."""
         status = self.session.status
-        text = describe(status)
+        text = describe(status, is_held=self.target.is_held)
         if self._label.text != text:
             self._label.text = text
         self._trail.draw()

@@ -10,10 +10,12 @@ from armctl.core.units import length_text
 from armctl.view.realtime.history import HistorySamples
 from armctl.view.realtime.status import Activity, Status
 
-_MIN_SHOWN_MM = 1e-3
+MIN_SHOWN_MM = 1e-2  # the scale of the chart is logarithmic: smaller errors are drawn at this value
+_RELEASE_HINT = "; release the target to plan around"
 
 
-def describe(status: Status) -> str:
+def describe(status: Status, *, is_held: bool = False) -> str:
+    """What a session does, in a sentence; `is_held` says whether somebody holds the target with a mouse."""
     error_mm = 1e3 * status.position_error
     match status.activity:
         case Activity.FAILED | Activity.DIVERGED:
@@ -23,14 +25,14 @@ def describe(status: Status) -> str:
         case Activity.PLANNING:
             return "planning a path around what is in the way"
         case Activity.BLOCKED:
-            return status.refusal
+            return status.refusal + (_RELEASE_HINT if is_held else "")
         case Activity.OUT_OF_REACH:
             return _out_of_reach(status)
         case Activity.AT_TARGET:
-            return f"at the target, error {max(error_mm, _MIN_SHOWN_MM):.2g} mm"
+            return f"at the target, error {error_text(status.position_error)}"
         case Activity.SAGGING:
             payload = f" and {status.payload:g} kg" if status.payload else ""
-            return f"steady-state error {error_mm:.1f} mm with {status.controller}{payload}"
+            return f"steady-state error {error_text(status.position_error)} with {status.controller}{payload}"
         case Activity.FOLLOWING:
             reach = f"; {_out_of_reach(status)}" if status.reach_error is not None else ""
             how = "following" if status.path is None else "on the planned path"
@@ -38,13 +40,17 @@ def describe(status: Status) -> str:
             return f"{how}{to_go}{reach}"
 
 
+def error_text(error: float) -> str:
+    """A distance of the tip, m, as every place of the page shows it."""
+    return length_text(error) if 1e3 * error >= MIN_SHOWN_MM else f"<{MIN_SHOWN_MM:g} mm"
+
+
 def readings(samples: HistorySamples, joint_names: Sequence[str], real_time_factor: float) -> str:
     """Three numbers side by side, as HTML: the tip's distance from its reference, the motor nearest to its limit, the clock."""
     shares = np.abs(samples.torque_share[-1])
     busiest = int(np.argmax(shares))
-    error_mm = max(1e3 * samples.to_reference[-1], _MIN_SHOWN_MM)
     cells = (
-        (f"{error_mm:.2g} mm", "from reference"),
+        (html.escape(error_text(samples.to_reference[-1])), "from reference"),
         (f"{100 * shares[busiest]:.0f} %", f"torque of {html.escape(joint_names[busiest])}"),
         (f"{real_time_factor:.2f}", "times real time"),
     )

@@ -12,6 +12,7 @@ from armctl.view.drawings import ContactArrows, TipTrail
 from armctl.view.page import Demonstration
 from armctl.view.realtime.history import HistorySamples
 from armctl.view.realtime.session import RealTimeSession
+from armctl.view.realtime.status import Activity
 
 EPSILON = 1e-6  # points are sent as float32
 
@@ -89,6 +90,26 @@ def test_the_charts_show_millimetres_percents_and_the_age_of_each_sample(paper):
     assert charts.shown_reference_error_mm == pytest.approx(2.0)
     assert torques.data[1] == pytest.approx(np.maximum(100.0 * np.abs(share[rows, 0]), 25.0))
     assert torques.data[2] == pytest.approx([100.0] * 3)
+
+
+def test_a_demonstration_that_something_blocks_ends_where_it_began():
+    start = Pose([0.3, 0.0, 0.4])
+    status = SimpleNamespace(target=start, activity=Activity.AT_TARGET, paused=False)
+    aimed = []
+
+    def aim(target: Pose, held: bool = False) -> None:
+        aimed.append((target, held))
+        status.target = target
+
+    model = SimpleNamespace(stat=SimpleNamespace(extent=1.0))
+    demonstration = Demonstration(SimpleNamespace(status=status, arm=SimpleNamespace(model=model), aim=aim))  # type: ignore[arg-type]
+    demonstration.advance(0.0)
+    demonstration.advance(2.0)
+    assert aimed[-1][1], "the target goes round as if it were dragged"
+    status.activity = Activity.BLOCKED
+    demonstration.advance(3.0)
+    assert aimed[-1] == (start, False)
+    assert demonstration.is_over
 
 
 @pytest.mark.full

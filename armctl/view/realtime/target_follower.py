@@ -233,7 +233,7 @@ class TargetFollower:
             return True
         obstacle = self.reference.obstacle
         if task.held:
-            task.refusal = f"{obstacle}; release the target to plan around" if obstacle else ""
+            task.refusal = obstacle
         elif self.avoidance.checker is not None and (obstacle or self.reference.is_at_rest):
             self._plan(task.q)
         return False  # without an obstacle, no motion inside the limits leads there from this state; from rest there may be one

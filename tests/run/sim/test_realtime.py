@@ -1,5 +1,6 @@
 """The real-time session, stepped by hand: it follows its target, executes commands, and reports what it does."""
 
+import html
 import time
 from dataclasses import FrozenInstanceError, replace
 
@@ -15,7 +16,7 @@ from armctl.view.realtime.follower_reference import FollowerReference
 from armctl.view.realtime.history import DURATION_S
 from armctl.view.realtime.session import UPDATE_INTERVAL_S, RealTimeSession
 from armctl.view.realtime.status import Activity
-from armctl.view.status_text import describe
+from armctl.view.status_text import describe, readings
 
 SOME = ["robot_arm_3dof", "panda", "ur5e", "xarm7", "so_arm100", "endless", "gantry"]
 
@@ -343,7 +344,7 @@ STATUS_SENTENCES = {
     Activity.BLOCKED: "wall and link would touch",
     Activity.AT_TARGET: "at the target, error 12 mm",
     Activity.OUT_OF_REACH: "out of reach by 34 mm",
-    Activity.SAGGING: "steady-state error 12.0 mm with pd and 2 kg",
+    Activity.SAGGING: "steady-state error 12 mm with pd and 2 kg",
     Activity.PAUSED: "paused",
     Activity.DIVERGED: "a defect; press reset",
     Activity.FAILED: "a defect; press reset",
@@ -363,6 +364,23 @@ def test_each_activity_has_its_sentence(activity: Activity):
         payload=2.0,
     )
     assert describe(status) == STATUS_SENTENCES[activity]
+
+
+def test_an_error_has_one_number_wherever_it_is_shown():
+    session = RealTimeSession(arm_of(BUNDLED))
+    for error, text in ((3e-6, "<0.01 mm"), (2.5e-5, "0.025 mm"), (0.0123, "12.3 mm")):
+        status = replace(session.status, activity=Activity.AT_TARGET, position_error=error)
+        samples = session.history.read()
+        samples.to_reference[-1] = error
+        samples.torque_share[-1] = 0.1
+        assert describe(status) == f"at the target, error {text}"
+        assert html.escape(text) in readings(samples, session.arm.joint_names, 1.0)
+
+
+def test_only_a_target_that_somebody_holds_is_to_be_released():
+    status = replace(RealTimeSession(arm_of(BUNDLED)).status, activity=Activity.BLOCKED, refusal="wall and link would touch")
+    assert describe(status) == "wall and link would touch"
+    assert describe(status, is_held=True) == "wall and link would touch; release the target to plan around"
 
 
 def test_a_tip_within_a_millimetre_of_a_moving_target_has_nothing_to_go():
