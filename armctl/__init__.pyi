@@ -114,6 +114,7 @@ from .model.arm.actuation import Actuation as Actuation
 from .model.arm.arm import Arm as Arm
 from .model.collision.clearance import ClearanceCheck as ClearanceCheck
 from .model.collision.clearance import check_clearance as check_clearance
+from .model.collision.robot_filter import robot_filter as robot_filter
 from .model.collision.world import World as World
 from .model.collision.world_snapshot import WorldBody as WorldBody
 from .model.collision.world_snapshot import WorldSnapshot as WorldSnapshot

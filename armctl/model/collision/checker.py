@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl._core import Approach, ClearanceProof, CollisionScene, Hit
 from armctl.core.errors import InputError, ModelError, UnknownNameError, few_names
-from armctl.core.validation import Array, BoolArray
+from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.collision_geometry import Geometry, build_geometry, colliding_pairs, is_convex
 from armctl.model.collision.moving_joints import KeptAxis, MovingJoints, NearPairs
@@ -171,6 +171,14 @@ class CollisionChecker:
             distances=np.array([each.distance for each in near]),
             gradients=np.array([each.gradient for each in near]).reshape(-1, len(q)),
         )
+
+    def near_points(self, q: Array, geoms: IntArray, points: Array, margin: float) -> BoolArray:
+        """(N,) which points (N, 3) m of the world are within a margin, m, of some geoms (rows of the geometry) at q (n,)."""
+        marks = np.zeros(len(points), np.int64)
+        self._memory.scene.mark_points(
+            _contiguous(q), np.ascontiguousarray(geoms, np.int64), _contiguous(points), margin, marks
+        )
+        return marks.astype(bool)
 
     def line_hit(self, start: Array, end: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
         """Proves that the straight line between two configurations (n,) keeps more than a clearance, m.

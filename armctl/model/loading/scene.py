@@ -17,8 +17,10 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.pose import Pose
+from armctl.core.shapes import Ball, Box, Cylinder, Mesh
 from armctl.core.tables import Table
 from armctl.core.validation import Array, instance, number, vector
+from armctl.model.collision.world_snapshot import WorldBody, WorldLike, read_world
 from armctl.model.loading.catalog import Source
 from armctl.model.mjmodel.edit import copy_options
 from armctl.model.mjmodel.queries import actuator_name
@@ -111,9 +113,10 @@ class Item:
 
     name: str
     shape: mujoco.mjtGeom  # its shape, as MuJoCo's geom type
-    size: Array  # (3,) m, as MuJoCo's geom size: half of each edge, or radius and half the length
+    size: Array  # (3,) m (zero for a mesh), as MuJoCo's geom size: half of each edge, or radius and half the length
     pose: Pose  # T_world_item
     mass: float | None  # kg if it is loose; None if it stands fixed
+    vertices: Array | None = None  # (V, 3) m, of a mesh in its own frame
 
 
 class Scene:
@@ -138,6 +141,43 @@ class Scene:
         self.items: list[Item] = []
         self._names: set[str] = set()
         self._file = None if file is None else SceneFile(file)
+
+    @classmethod
+    def of_world(cls, world: WorldLike) -> Scene:
+        """The bodies of a world; those with a mass are loose.
+
+        Args:
+            world: A World, or a snapshot of one.
+
+        Returns:
+            What later changes of the world do not change.
+
+        Raises:
+            InputError: It has points or an attached body, which a simulation cannot have.
+        """
+        scene = cls()
+        snapshot = read_world(world)
+        for body in () if snapshot is None else snapshot.bodies.values():
+            if body.tip is not None:
+                raise InputError(f"scene: {body.name:.60} is attached to a tip; attach it in the world of the simulation")
+            scene._add_body(body)
+        return scene
+
+    def _add_body(self, body: WorldBody) -> None:
+        """Adds a body of a world that stands."""
+        shape = body.shape
+        if isinstance(shape, Box):
+            self.add_box(body.name, shape.size, body.pose, body.mass)
+        elif isinstance(shape, Ball):
+            self.add_ball(body.name, shape.radius, body.pose, body.mass)
+        elif isinstance(shape, Cylinder):
+            self.add_cylinder(body.name, shape.radius, shape.length, body.pose, body.mass)
+        elif isinstance(shape, Mesh):
+            self._add(body.name, mujoco.mjtGeom.mjGEOM_MESH, np.zeros(3), body.pose, body.mass, shape.vertices)
+        else:
+            raise InputError(
+                f"scene: {body.name:.60} is a cloud of points, which has no physics; add it to the world of the simulation"
+            )
 
     def add_box(self, name: str, size: ArrayLike, at: Pose | ArrayLike, mass: float | None = None) -> Scene:
         """Adds a box.
@@ -207,12 +247,16 @@ class Scene:
             self._file.build(spec, gripped)
         for item in self.items:
             body = spec.worldbody.add_body(name=item.name, pos=item.pose.position, quat=item.pose.quat)
+            shape: dict[str, Any] = {"type": item.shape, "size": item.size}
+            if item.vertices is not None:
+                spec.add_mesh(name=item.name, uservert=item.vertices.ravel())
+                shape = {"type": item.shape, "meshname": item.name}
             if item.mass is None:
-                body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_FIXED_COLOR, **collides)
+                body.add_geom(name=item.name, rgba=_FIXED_COLOR, **shape, **collides)
                 continue
             body.add_freejoint(name=item.name)
             loose = {"rgba": _LOOSE_COLOR, "mass": item.mass, **gripped, **collides}
-            body.add_geom(name=item.name, type=item.shape, size=item.size, **loose)
+            body.add_geom(name=item.name, **shape, **loose)
 
     def __repr__(self) -> str:
         names = [*(self._file.bodies if self._file else ()), *(item.name for item in self.items)]
@@ -232,7 +276,15 @@ class Scene:
         rows += [[name, "from the file", "", ""] for name in (self._file.bodies if self._file else ())]
         return Table(["object", "shape", "at, m", "mass"], rows).html()
 
-    def _add(self, name: str, shape: mujoco.mjtGeom, size: Array, at: Pose | ArrayLike, mass: float | None) -> Scene:
+    def _add(
+        self,
+        name: str,
+        shape: mujoco.mjtGeom,
+        size: Array,
+        at: Pose | ArrayLike,
+        mass: float | None,
+        vertices: Array | None = None,
+    ) -> Scene:
         instance("name", name, str, "such as 'table'")
         if not name or name in self._names:
             raise InputError(f"name: {name!r} is empty or in the scene already; choose another")
@@ -240,7 +292,7 @@ class Scene:
             number("mass", mass, 1e-6)
         pose = at if isinstance(at, Pose) else Pose(vector("at", at, 3))
         self._names.add(name)
-        self.items.append(Item(name=name, shape=shape, size=size, pose=pose, mass=mass))
+        self.items.append(Item(name=name, shape=shape, size=size, pose=pose, mass=mass, vertices=vertices))
         return self
 
 

@@ -6,7 +6,7 @@ import weakref
 import mujoco
 import numpy as np
 import pytest
-from collidable import arm_among
+from collidable import arm_among, mjcf
 
 import armctl
 from armctl import Ball, Box, Cylinder, InputError, Mesh, Points, Pose, UnknownNameError, World
@@ -352,3 +352,48 @@ def test_a_stream_proves_each_motion_in_the_newest_world(arm):
     assert "lamp" in stream.report.obstacle
     assert all(collision_checker(arm, world=world).at(point.q) == "" for point in points)
     assert np.abs(points[-1].v).max() < 1e-6
+
+
+def test_points_on_the_robot_are_removed_and_the_others_stay(arm, configurations):
+    rng = np.random.default_rng(9)
+    points = rng.uniform(-0.9, 0.9, (3000, 3))
+    removed = 0
+    for q in configurations[:10]:
+        kept = armctl.robot_filter(arm, q, points, margin=0.03)
+        distances = np.array([least_distance(arm, point[None], 0.0, q) for point in points[:500]])
+        is_kept = np.isin(points[:500], kept).all(axis=1)
+        assert (is_kept == (distances > 0.03))[np.abs(distances - 0.03) > 1e-6].all()
+        removed += len(points) - len(kept)
+    assert removed > 100
+    with pytest.raises(InputError, match="points: all 2 are on the robot, within 20 mm; are they in the frame of the world"):
+        armctl.robot_filter(arm, arm.home, np.tile(arm.fk(arm.home).position, (2, 1)))
+    with pytest.raises(InputError, match="points: 1 of 1 are NaN"):
+        armctl.robot_filter(arm, arm.home, [[np.nan, 0.0, 0.0]])
+
+
+def test_a_world_is_a_scene_of_a_simulation(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(mjcf(""))
+    world = World().add("cup", Cylinder(0.04, 0.1), [0.6, 0.0, 0.3], mass=0.2)
+    for name, shape in SHAPES.items():
+        world.add(name, shape, AT[name])
+    loaded = armctl.load(path, scene=world)
+    data = mujoco.MjData(loaded.model)
+    mujoco.mj_forward(loaded.model, data)
+    for name in SHAPES:
+        assert loaded.model.body(name).jntnum[0] == 0
+    assert loaded.model.body("cup").jntnum[0] == 1
+    assert loaded.model.body("cup").mass[0] == pytest.approx(0.2)
+    alone = armctl.load(path)
+    world.remove("cup")
+    q = alone.limits.random(alone.home, 40, np.random.default_rng(1))
+    seen = [collision_checker(alone, world=world).nearest(each)[1] for each in q]
+    world.add("cup", Cylinder(0.04, 0.1), [0.6, 0.0, 0.3])
+    in_mujoco = [collision_checker(loaded).nearest(each)[1] for each in q]
+    with_cup = [collision_checker(alone, world=world).nearest(each)[1] for each in q]
+    assert in_mujoco == pytest.approx(with_cup, abs=1e-5)
+    assert (np.array(with_cup) <= np.array(seen) + 1e-9).all()
+    with pytest.raises(InputError, match="scene: cloud is a cloud of points, which has no physics"):
+        armctl.load(path, scene=World().add("cloud", Points([[1.0, 0.0, 0.0]])))
+    with pytest.raises(InputError, match="scene: cup is attached to a tip"):
+        armctl.load(path, scene=world.attach("cup", [0.0, 0.0, 0.1]))
