@@ -24,13 +24,14 @@ from armctl.cli import (
     robots,
     simulate,
     study,
+    tour,
     view,
 )
 from armctl.cli.common import DONE, WRONG_CALL, print_json
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.uninterrupted import uninterrupted_import
 
-_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, identify, simulate, study, view, robot)
+_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, identify, simulate, study, view, tour, robot)
 _NOT_OPTIONS = {"action", "host", "robot", "law", "file", "run", "options"}
 
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import json
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,12 +11,11 @@ import numpy as np
 
 from armctl.core import units
 from armctl.core.atomic import write_text
-from armctl.core.errors import NotInstalledError
 from armctl.core.plotting import COLORS, figure_svg
 from armctl.lab.comparison import Comparison, marked_table, remarks
 from armctl.model.arm.arm import Arm
 from armctl.report import html_page
-from armctl.report.render import record
+from armctl.report.film_html import film_html
 from armctl.report.report import Report, table
 
 if TYPE_CHECKING:
@@ -27,7 +23,6 @@ if TYPE_CHECKING:
 
 _MAX_POINTS_PER_LINE = 500  # more cannot be seen
 _MIN_ERROR_SHOWN = 1e-9  # rad or m; the axis is logarithmic, and smaller errors are rounding: they would compress the others
-_FILM_PX = (320, 240)
 
 
 def write_comparison(reports: Sequence[Report], folder: Path, motion: str, film_of: Arm | None = None) -> list[Path]:
@@ -66,15 +61,7 @@ def _page(title: str, conditions: str, notes: Sequence[str], reports: Sequence[R
 def _film(reports: Sequence[Report], arm: Arm) -> str:
     """The run with the largest error of the tip as a film in the page; nothing where films cannot be made."""
     report = max(reports, key=lambda r: np.nan_to_num(r.tip_rms_m, nan=-1.0))
-    width, height = _FILM_PX
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            film = record(report.log, arm, Path(folder) / "run.mp4", size=_FILM_PX)
-            data = base64.b64encode(film.read_bytes()).decode()
-    except NotInstalledError:
-        return ""
-    video = f'<video width="{width}" height="{height}" controls loop muted src="data:video/mp4;base64,{data}"></video>'
-    return f"<figure>{video}<figcaption>{html.escape(report.controller)}</figcaption></figure>"
+    return film_html(report.log, arm, report.controller)
 
 
 def _draw(figure: Figure, reports: Sequence[Report]) -> None:

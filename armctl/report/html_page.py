@@ -12,6 +12,7 @@ td:first-child, th:first-child, td:last-child { text-align: left; }
 mark { background: #d9f2e3; color: #0b5a32; font-weight: 600; } figcaption { font-size: 13px; }
 .columns { display: grid; grid-template-columns: minmax(0, 1fr) auto; gap: 1.5rem; align-items: start; }
 @media (max-width: 60rem) { .columns { grid-template-columns: 1fr; } }
+pre { background: #f4f5f7; padding: .6rem .8rem; overflow-x: auto; font-size: 13px; }
 figure { margin: 0; } video { max-width: 100%; }
 .remark { color: #a33; } svg { width: 100%; height: auto; } .table { overflow-x: auto; max-width: 100%; }
 """
@@ -29,6 +30,11 @@ def heading(text: str) -> str:
 
 def paragraph(text: str) -> str:
     return f"<p>{html.escape(text)}</p>"
+
+
+def program(text: str) -> str:
+    """Lines of a program, or what it prints."""
+    return f"<pre>{html.escape(text)}</pre>"
 
 
 def remark(text: str) -> str:

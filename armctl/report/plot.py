@@ -101,7 +101,7 @@ def overlay(
         NotInstalledError: There is no screen for a window.
     """
     _check_overlay(logs, labels)
-    return finish_figure(lambda figure: _overlay(figure, logs, labels), size or _OVERLAY_SIZE_INCHES, path)
+    return finish_figure(lambda figure: draw_overlay(figure, logs, labels), size or _OVERLAY_SIZE_INCHES, path)
 
 
 def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> NDArray[np.uint8]:
@@ -114,12 +114,13 @@ def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> N
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6, 6), layout="constrained", dpi=120)
         canvas = FigureCanvasAgg(figure)
-        _overlay(figure, logs, labels)
+        draw_overlay(figure, logs, labels)
         canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _overlay(figure: Figure, logs: Sequence[Log], labels: Sequence[str] | None) -> None:
+def draw_overlay(figure: Figure, logs: Sequence[Log], labels: Sequence[str] | None = None) -> None:
+    """Draws `overlay` into a figure of matplotlib."""
     labels = [log.controller for log in logs] if labels is None else labels
     error, load = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for i, (log, label) in enumerate(zip(logs, labels, strict=True)):

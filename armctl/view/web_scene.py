@@ -5,12 +5,9 @@ from __future__ import annotations
 import atexit
 import importlib.util
 import logging
-import os
 import socket
-import sys
 import threading
 import time
-import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,6 +17,7 @@ import numpy as np
 
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.pose import Pose
+from armctl.core.screen import open_browser
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.mjmodel.target_marker import find_target, is_movable
@@ -145,8 +143,7 @@ class WebScene:
 
     def open_browser(self) -> bool:
         """Opens a browser at the page, where there is a screen. Returns whether a browser starts."""
-        screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        return bool(screen) and webbrowser.open(self._root + self._access.one_time_query())
+        return open_browser(self._root + self._access.one_time_query())
 
     def set(self, arm: Arm, others: Sequence[Arm] = (), *, with_marker: bool = True) -> None:
         """Puts an arm at home on the page in place of the one there; the first view shows the others, too."""

@@ -6,6 +6,7 @@ import io
 import runpy
 import shutil
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -23,6 +24,7 @@ from PIL import Image as Picture
 import armctl
 from armctl.core.plotting import COLORS, STYLE, finish_figure
 from armctl.lab.comparison import compare, out_and_back
+from armctl.lab.tour import write_tour
 from armctl.report.plot import overlay
 from armctl.report.render import record
 from armctl.view.realtime.status import Activity
@@ -38,6 +40,15 @@ DRAG_WIDTH_PX = 552  # of the page, without its panel
 DRAG_FRAMES_PER_S = 12
 DRAG_MAX_FRAMES = 150
 DRAG_ARROW_M = 0.11  # from the target to the middle of the arrow's tip
+TOUR_PAGE_PX = (900, 600)
+TOUR_FRAMES_PER_S = 6
+TOUR_FRAMES_PER_STOP = 14
+# Shows all films of a page at a time, s, once they have that picture.
+TOUR_SHOW_FILMS = """(time) => Promise.all([...document.querySelectorAll("video")].map((film) => new Promise((done) => {
+  film.onseeked = done;
+  film.currentTime = Math.min(time, film.duration - 0.01);
+  setTimeout(done, 2000);
+})))"""
 # The page has shadows where the browser says that it draws with a graphics card.
 GRAPHICS_CARD = """
 const parameter = WebGLRenderingContext.prototype.getParameter;
@@ -261,6 +272,28 @@ def drag() -> None:
     film[0].save(HERE / "drag.webp", save_all=True, append_images=film[1:], duration=interval_ms, loop=0, quality=80)
 
 
+def tour() -> None:
+    """The page of `armctl tour panda` in a browser, from stop to stop; its films play."""
+    from playwright.sync_api import sync_playwright
+
+    frames = []
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        path = write_tour(armctl.load("panda"), "panda", Path(folder) / "tour.html")
+        chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        tab = chromium.new_page(viewport=dict(zip(("width", "height"), TOUR_PAGE_PX, strict=True)))
+        tab.goto(path.as_uri())
+        tab.evaluate("document.querySelectorAll('video').forEach((film) => { film.pause(); film.controls = false; })")
+        stops = tab.locator("h2").all()[:-1]
+        for stop in stops:
+            stop.evaluate("heading => heading.scrollIntoView()")
+            for k in range(TOUR_FRAMES_PER_STOP):
+                tab.evaluate(TOUR_SHOW_FILMS, 2 * k / TOUR_FRAMES_PER_S)  # twice as fast as they are
+                frames.append(Picture.open(io.BytesIO(tab.screenshot())).convert("RGB"))
+        chromium.close()
+    interval_ms = round(1000 / TOUR_FRAMES_PER_S)
+    frames[0].save(HERE / "tour.webp", save_all=True, append_images=frames[1:], duration=interval_ms, loop=0, quality=70)
+
+
 def next_frame(session: RealTimeSession, tab: Any) -> np.ndarray:
     """The scene of a page one frame later, (height, width, 3).
 
@@ -304,7 +337,7 @@ def draw(picture: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    wanted = [drag, shelf, humanoid, four_panels, loop, pd_against_computed_torque, waypoints, study, polish, page]
+    wanted = [drag, tour, shelf, humanoid, four_panels, loop, pd_against_computed_torque, waypoints, study, polish, page]
     chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
     drawn = [draw(picture) for picture in chosen]
     sys.exit(0 if all(drawn) else 1)
