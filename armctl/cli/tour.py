@@ -18,7 +18,7 @@ def add(commands: common.Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from armctl.core.atomic import file_path
-    from armctl.core.screen import open_browser
+    from armctl.core.open_browser import open_browser
     from armctl.lab.tour import write_tour
     from armctl.model.loading.load import load
 

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.open_browser import open_browser
 from armctl.core.pose import Pose
-from armctl.core.screen import open_browser
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.mjmodel.target_marker import find_target, is_movable
