@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, UnknownNameError, shown
+from armctl.core.other_names import with_hints
 from armctl.core.pose import Pose
 from armctl.core.shapes import Ball, Box, Cylinder, Mesh, Points, Shape
 from armctl.core.tables import Table
@@ -25,6 +27,18 @@ class World:
     A change takes effect in the next call that takes the world: whoever plans or proves uses one snapshot from start to end.
     Nothing is compiled, and threads may change and use a world at the same time.
     """
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "add_box": "world.add(name, armctl.Box(size), at)",
+                "add_ball": "world.add(name, armctl.Ball(radius), at)",
+                "add_sphere": "world.add(name, armctl.Ball(radius), at)",
+                "add_cylinder": "world.add(name, armctl.Cylinder(radius, length), at)",
+                "add_mesh": "world.add(name, armctl.Mesh(vertices), at)",
+                "add_points": "world.add(name, armctl.Points(points, radius))",
+            }
+        )
 
     def __init__(self) -> None:
         """An empty world."""

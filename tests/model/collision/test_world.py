@@ -397,3 +397,8 @@ def test_a_world_is_a_scene_of_a_simulation(tmp_path):
         armctl.load(path, scene=World().add("cloud", Points([[1.0, 0.0, 0.0]])))
     with pytest.raises(InputError, match="scene: cup is attached to a tip"):
         armctl.load(path, scene=world.attach("cup", [0.0, 0.0, 0.1]))
+
+
+def test_names_of_other_libraries_are_answered_with_a_hint():
+    with pytest.raises(AttributeError, match=r"World has no attribute 'add_box'; use world.add.name, armctl.Box.size., at"):
+        World().add_box("a", [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])
