@@ -23,7 +23,7 @@ from armctl.plan.motion.timing.otg import JointState
 from armctl.plan.motion.torque_limits import check_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, is_inside, stretch_needed
-from armctl.plan.motion.trajectory.path_stop import stopped
+from armctl.plan.motion.trajectory.path_stop import resting_at_end, stopped
 from armctl.plan.motion.trajectory.piecewise import Pieces, hermite, sample, standing, time_scaled
 from armctl.plan.stream.committed_motion import CommittedMotion, end_state
 from armctl.plan.stream.nearest_safe import nearest_safe
@@ -215,9 +215,23 @@ class Admission:
         late = self._planner.wanted(self._state, knots)
         if late is not None:
             yield min(1.0, float(times[-1] / late.knots[-1])), late
+        yield from self._braking_ways(knots)
         for pace in self._possible_paces(knots):
             slower = self._planner.through(self._state, knots.slowed(pace, 0.0))
             yield from ((pace, pieces) for pieces in islice(slower, 1))
+
+    def _braking_ways(self, knots: Knots) -> Iterator[tuple[float, Pieces]]:
+        """Through all targets without a turn back: the arm brakes on the way to the last one, however suddenly a chunk ends."""
+        if len(knots.t) < 2:
+            return
+        limits = self._arm.limits
+        v = knots.v.copy()
+        v[-1] = (knots.q[-1] - knots.q[-2]) / (knots.t[-1] - knots.t[-2])
+        for pace in _PACES:
+            for way in islice(self._planner.ways(self._state, knots._replace(v=v).slowed(pace, 0.0)), 1):
+                motion = resting_at_end(way, limits)
+                if motion is not None and self._keeps_limits(motion):
+                    yield min(pace, float(knots.t[-1] / motion.knots[-1])), motion
 
     def _possible_paces(self, knots: Knots) -> Iterator[float]:
         """Paces below 1 at which the way through wanted states keeps the limits on speed, acceleration and jerk."""

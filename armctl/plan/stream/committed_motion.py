@@ -74,14 +74,18 @@ class CommittedMotion:
             return slower if slower is not None else self._before(refused, solver, start, now, knots)
         return None
 
-    def through(self, start: JointState, knots: Knots) -> Iterator[Pieces]:
-        """Motions inside the limits through all wanted states but the first ones, and then to rest; now is the time 0."""
-        solver = self._solvers[0]
+    def ways(self, start: JointState, knots: Knots) -> Iterator[Pieces]:
+        """Motions inside the limits through all wanted states but the first ones, up to the last one; now is the time 0."""
         for followed, after in self._followed(start, 0.0, knots):
             if after == len(knots.t):
-                motion = self._rejoining(solver, start, 0.0, knots, [followed], after)
-                if motion is not None and self._is_feasible(motion):
-                    yield motion
+                yield followed
+
+    def through(self, start: JointState, knots: Knots) -> Iterator[Pieces]:
+        """As `ways`, and then to rest."""
+        for way in self.ways(start, knots):
+            motion = self._rejoining(self._solvers[0], start, 0.0, knots, [way], len(knots.t))
+            if motion is not None and self._is_feasible(motion):
+                yield motion
 
     def wanted(self, start: JointState, knots: Knots) -> Pieces | None:
         """As `plan`, but the motion is not proved; now is the time 0."""

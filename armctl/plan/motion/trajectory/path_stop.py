@@ -81,6 +81,18 @@ def speed_changed(pieces: Pieces, limits: Limits, t: float, factor: float) -> Pi
     return pieces
 
 
+def resting_at_end(pieces: Pieces, limits: Limits) -> Pieces | None:
+    """The motion with a stop at its end on the same path, from as late on as one is found; None if none keeps the limits."""
+    duration = float(pieces.knots[-1])
+    lengths = _MIN_DECELERATION_S * _DECELERATION_GROWTH ** np.arange(_MAX_GROWTHS, dtype=np.float64)
+    for length in lengths[lengths < 2.0 * duration]:
+        begin = duration - 0.5 * float(length)  # a deceleration to rest covers half of its length
+        change = _decelerated(pieces, limits, begin, float(length), 0.0)
+        if change is not None and is_inside(change, limits):
+            return _until(pieces, begin, change)
+    return None
+
+
 class _Change(NamedTuple):
     """A change of the path speed: when it begins and ends in the motion, s, and the motion meanwhile."""
 
