@@ -1,6 +1,6 @@
 """The gate: does it let pass what is free, and stop what is not? `python benchmarks/gate.py`.
 
-    python benchmarks/gate.py [--arms panda ur5e xarm7] [--motions 334] [--errors 334] [--appearances 67] [--nearest 40]
+    python benchmarks/gate.py [--arms panda ur5e xarm7] [--motions 334] [--errors 334] [--processes 2]
 
 Motions of an expert, `move_free` among a wall, a ball and a post, are emitted as a policy does, chunks of ten targets at 30 Hz
 every 0.2 s, from where the arm is on its way; with a gate, and without one by a `Stream`. A motion was stopped if the gate
@@ -17,7 +17,9 @@ from __future__ import annotations
 import argparse
 import copy
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import mujoco
@@ -348,30 +350,36 @@ def main() -> None:
     parser.add_argument("--errors", type=int, default=334)
     parser.add_argument("--appearances", type=int, default=67)
     parser.add_argument("--nearest", type=int, default=40)
+    parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
-    tables = [
-        titled_table(
-            "Motions of the experts",
-            ["arm", "motions", "over without a gate", "over with the gate", "stopped", "touched", "limits broken"],
-            [experts(name, arguments.motions) for name in arguments.arms],
-        ),
-        titled_table(
-            "Injected errors",
-            ["arm", "towards", "chunks", "refused", "touched", "limits broken"],
-            [row for name in arguments.arms for row in errors(name, arguments.errors)],
-        ),
-        titled_table(
-            "The nearest safe configuration, and the nearest of 20 000 random ones",
-            ["arm", "configurations", "unsafe", "median factor", "largest factor"],
-            [nearest(name, arguments.nearest) for name in arguments.arms],
-        ),
-        titled_table(
-            "A ball appears during a motion",
-            ["arm", "motions", "went on", "touched", "touched though a stop was free"],
-            [appearances(name, arguments.appearances) for name in arguments.arms],
-        ),
-    ]
+    with ProcessPoolExecutor(arguments.processes, get_context("spawn")) as pool:
+        of_experts = [pool.submit(experts, name, arguments.motions) for name in arguments.arms]
+        of_errors = [pool.submit(errors, name, arguments.errors) for name in arguments.arms]
+        of_nearest = [pool.submit(nearest, name, arguments.nearest) for name in arguments.arms]
+        of_appearances = [pool.submit(appearances, name, arguments.appearances) for name in arguments.arms]
+        tables = [
+            titled_table(
+                "Motions of the experts",
+                ["arm", "motions", "over without a gate", "over with the gate", "stopped", "touched", "limits broken"],
+                [each.result() for each in of_experts],
+            ),
+            titled_table(
+                "Injected errors",
+                ["arm", "error", "chunks", "refused", "touched", "limits broken"],
+                [row for each in of_errors for row in each.result()],
+            ),
+            titled_table(
+                "The nearest safe configuration, and the nearest of 20 000 random ones",
+                ["arm", "configurations", "unsafe", "median factor", "largest factor"],
+                [each.result() for each in of_nearest],
+            ),
+            titled_table(
+                "A ball appears during a motion",
+                ["arm", "motions", "went on", "touched", "touched though a stop was free"],
+                [each.result() for each in of_appearances],
+            ),
+        ]
     text = "\n\n".join(tables) + "\n"
     print(text)
     arguments.out.write_text(text, encoding="utf-8")

@@ -10,7 +10,7 @@ import gymnasium
 from armctl.core.errors import InputError
 from armctl.core.validation import as_array, flag, integer
 from armctl.envs.batch import Batch, action_space, observation_space
-from armctl.envs.screen import Screen
+from armctl.envs.pictures import Screen
 from armctl.envs.tasks.task import RobotLike
 from armctl.report.render.depth_camera import Camera, CameraImage, camera_names
 

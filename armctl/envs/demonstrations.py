@@ -23,7 +23,7 @@ from armctl.core.validation import integer, shown
 from armctl.envs.arm_env import ArmEnv
 from armctl.envs.experts import ExpertPolicy
 from armctl.envs.lerobot import FRONT, Feature, LeRobotWriter, film_name
-from armctl.envs.screen import SceneState, Screen
+from armctl.envs.pictures import SceneState, Screen
 from armctl.report.render.renderer import Image
 
 _HOLD_TIME = 0.25  # s at the goal, after which an episode ends
