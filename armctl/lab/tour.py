@@ -26,6 +26,7 @@ from armctl.report.plot import draw_overlay
 _TURN_RAD = 1.2  # of the first joint, around the obstacle
 _OBSTACLE_SHARE = 0.2  # its width as a share of the way of the tip
 _PAYLOAD_SHARE = 0.05  # of the mass of the arm
+_FILM_PX = (480, 360)
 _OVERLAY_SIZE_INCHES = (13.0, 5.0)
 
 
@@ -78,19 +79,19 @@ def tour_of(arm: Arm, robot: str) -> list[Stop]:
             "Reach",
             "The tip goes to the green target, within all limits.",
             f"import armctl\n\nsim = armctl.Simulation({robot!r})\nresult = sim.move_to(sim.target)\nprint(result)\n",
-            lambda found: [film_html(found["sim"].log, found["sim"].arm)],
+            lambda found: [film_html(found["sim"].log, found["sim"].arm, size=_FILM_PX)],
         ),
         Stop(
             "Around an obstacle",
             "move_free plans a motion without contact, and proves it for the whole time.",
             "import armctl\n\n"
-            "scene = armctl.Scene()\n"
-            f'scene.add_box("box", {_rounded(np.full(3, width))}, {_rounded(middle)})\n'
-            f"arm = armctl.load({robot!r}, scene=scene)\n"
+            "world = armctl.World()\n"
+            f'world.add("box", armctl.Box({_rounded(np.full(3, width))}), at={_rounded(middle)})\n'
+            f"arm = armctl.load({robot!r}, scene=world)\n"
             f"motion = armctl.move_free(arm, arm.home, {_rounded(goal)})\n"
             'log = armctl.simulate(arm, "computed-torque", motion)\n'
             "print(armctl.check_clearance(arm, motion))\n",
-            lambda found: [film_html(found["log"], found["arm"])],
+            lambda found: [film_html(found["log"], found["arm"], size=_FILM_PX)],
         ),
         Stop(
             "An unknown payload",

@@ -12,15 +12,13 @@ from armctl.core.log import Log
 from armctl.model.arm.arm import Arm
 from armctl.report.render import record
 
-_FILM_PX = (320, 240)
 
-
-def film_html(log: Log, arm: Arm, caption: str = "") -> str:
+def film_html(log: Log, arm: Arm, caption: str = "", *, size: tuple[int, int] = (320, 240)) -> str:
     """A run as a film in the page; empty where films cannot be made, because OpenGL or an encoder is missing."""
-    width, height = _FILM_PX
+    width, height = size
     try:
         with tempfile.TemporaryDirectory() as folder:
-            film = record(log, arm, Path(folder) / "run.mp4", size=_FILM_PX)
+            film = record(log, arm, Path(folder) / "run.mp4", size=size)
             data = base64.b64encode(film.read_bytes()).decode()
     except NotInstalledError:
         return ""

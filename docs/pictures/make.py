@@ -40,9 +40,16 @@ DRAG_WIDTH_PX = 552  # of the page, without its panel
 DRAG_FRAMES_PER_S = 12
 DRAG_MAX_FRAMES = 150
 DRAG_ARROW_M = 0.11  # from the target to the middle of the arrow's tip
-TOUR_PAGE_PX = (900, 600)
+TOUR_PAGE_PX = (760, 640)
 TOUR_FRAMES_PER_S = 6
+TOUR_DRAWING_MS = 200
 TOUR_FRAMES_PER_STOP = 14
+# Stops all films of a page, and lets the browser seek in them, which it does not in data within the page.
+TOUR_STOP_FILMS = """() => Promise.all([...document.querySelectorAll("video")].map(async (film) => {
+  film.autoplay = film.controls = film.loop = false;
+  film.src = URL.createObjectURL(await (await fetch(film.src)).blob());
+  await new Promise((done) => { film.onloadeddata = done; film.load(); });
+}))"""
 # Shows all films of a page at a time, s, once they have that picture.
 TOUR_SHOW_FILMS = """(time) => Promise.all([...document.querySelectorAll("video")].map((film) => new Promise((done) => {
   film.onseeked = done;
@@ -282,12 +289,13 @@ def tour() -> None:
         chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         tab = chromium.new_page(viewport=dict(zip(("width", "height"), TOUR_PAGE_PX, strict=True)))
         tab.goto(path.as_uri())
-        tab.evaluate("document.querySelectorAll('video').forEach((film) => { film.pause(); film.controls = false; })")
+        tab.evaluate(TOUR_STOP_FILMS)
         stops = tab.locator("h2").all()[:-1]
         for stop in stops:
             stop.evaluate("heading => heading.scrollIntoView()")
             for k in range(TOUR_FRAMES_PER_STOP):
-                tab.evaluate(TOUR_SHOW_FILMS, 2 * k / TOUR_FRAMES_PER_S)  # twice as fast as they are
+                tab.evaluate(TOUR_SHOW_FILMS, 0.5 * k / TOUR_FRAMES_PER_S)  # in slow motion
+                tab.wait_for_timeout(TOUR_DRAWING_MS)
                 frames.append(Picture.open(io.BytesIO(tab.screenshot())).convert("RGB"))
         chromium.close()
     interval_ms = round(1000 / TOUR_FRAMES_PER_S)
