@@ -4,7 +4,7 @@ import numpy as np
 
 import armctl
 
-scene = armctl.Scene().add_box("wall", [0.04, 0.4, 0.4], [0.45, 0.0, 0.2])
+scene = armctl.World().add("wall", armctl.Box([0.04, 0.4, 0.4]), [0.45, 0.0, 0.2])
 arm = armctl.load("robot_arm_3dof", scene=scene)
 gate = armctl.Gate(arm)
 sim = armctl.Simulation(arm)

@@ -6,7 +6,7 @@ import armctl
 
 K = 2000.0  # N/m
 wall_at = 0.44  # m, where its face is
-scene = armctl.Scene().add_box("wall", [0.1, 1.0, 1.0], at=[wall_at + 0.05, 0.0, 0.5])
+scene = armctl.World().add("wall", armctl.Box([0.1, 1.0, 1.0]), at=[wall_at + 0.05, 0.0, 0.5])
 arm = armctl.load("robot_arm_3dof", scene=scene)
 
 controller = armctl.Impedance(arm, stiffness=[K, K, K, 0.0, 0.0, 0.0])

@@ -13,7 +13,7 @@ center = np.array([0.35, 0.0, -0.1])
 tool = mujoco.MjSpec.from_string("""<mujoco model="polisher"><option cone="elliptic"/><worldbody><body name="pad">
   <geom type="sphere" size="0.01" pos="0 0 0.05" mass="0.05" friction="0.2" priority="1"/><site name="tip" pos="0 0 0.05"/>
 </body></worldbody></mujoco>""")
-scene = armctl.Scene().add_cylinder("workpiece", RADIUS, 0.5, at=armctl.Pose(center, rpy=[0.0, np.pi / 2, 0.0]))
+scene = armctl.World().add("workpiece", armctl.Cylinder(RADIUS, 0.5), at=armctl.Pose(center, rpy=[0.0, np.pi / 2, 0.0]))
 arm = armctl.load(Path(__file__).parent / "models" / "desk_arm.urdf", tool=tool, scene=scene)
 
 

@@ -11,10 +11,10 @@ PEG = """<mujoco model="peg"><option cone="elliptic"/><worldbody><body name="peg
   pos="0 0 0.03" mass="0.1" friction="0.2" solref="0.002 1" solimp="0.999 0.999" priority="1"/><site name="tip" pos="0 0 0.06"/>
 </body></worldbody></mujoco>"""
 hole = np.array([0.35, 0.0, 0.1])
-scene = armctl.Scene().add_box("bottom", [0.06, 0.06, 0.02], hole - [0.0, 0.0, 0.03])
+scene = armctl.World().add("bottom", armctl.Box([0.06, 0.06, 0.02]), hole - [0.0, 0.0, 0.03])
 for side, angle in enumerate(2 * np.pi * np.arange(12) / 12):  # flat faces at 10.05 mm from the axis of the hole
     center = hole + np.array([0.02005 * np.cos(angle), 0.02005 * np.sin(angle), -0.01])
-    scene.add_box(f"side {side}", [0.02, 0.016, 0.02], armctl.Pose(center, rpy=[0.0, 0.0, angle]))
+    scene.add(f"side {side}", armctl.Box([0.02, 0.016, 0.02]), armctl.Pose(center, rpy=[0.0, 0.0, angle]))
 arm = armctl.load(Path(__file__).parent / "models" / "desk_arm.urdf", tool=mujoco.MjSpec.from_string(PEG), scene=scene)
 arm.model.opt.ccd_tolerance = 1e-9  # m; at the default of 1e-6, a cylinder that just touches gets depths of 0.1 mm
 

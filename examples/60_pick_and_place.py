@@ -7,9 +7,9 @@ import armctl
 START, GOAL = np.array([0.2, 0.45, 0.22]), np.array([-0.25, 0.55, 0.22])
 ABOVE, DOWN = np.array([0, 0, 0.1]), [np.pi, 0, 0]
 
-scene = armctl.Scene()
-scene.add_box("table", [1.0, 0.6, 0.2], at=[0, 0.65, 0.1])
-scene.add_box("cube", [0.04, 0.04, 0.04], at=START, mass=0.1)
+scene = armctl.World()
+scene.add("table", armctl.Box([1.0, 0.6, 0.2]), at=[0, 0.65, 0.1])
+scene.add("cube", armctl.Box([0.04, 0.04, 0.04]), at=START, mass=0.1)
 arm = armctl.load("ur5e", tool="robotiq_2f85", scene=scene)
 print(f"{arm.name} with its tip at {arm.tip!r}")
 

@@ -12,7 +12,7 @@ def down(*position: float) -> armctl.Pose:
     return armctl.Pose.from_rotation(np.array(position), np.column_stack([[0, 0, -1], [1, 0, 0], [0, -1, 0]]))
 
 
-scene = armctl.Scene().add_box("stick", [0.02, 0.22, 0.02], at=[-0.12, 0, 0.01], mass=0.05)
+scene = armctl.World().add("stick", armctl.Box([0.02, 0.22, 0.02]), at=[-0.12, 0, 0.01], mass=0.05)
 sim = armctl.Simulation(armctl.load("aloha", scene=scene))
 left, right = sim.gripper_at(LEFT), sim.gripper_at(RIGHT)
 print("open:", left.open(), right.open())

@@ -4,7 +4,7 @@ import numpy as np
 
 import armctl
 
-wall = armctl.Scene().add_box("wall", [0.1, 2.0, 1.0], [1.0, 0.0, 0.5])
+wall = armctl.World().add("wall", armctl.Box([0.1, 2.0, 1.0]), [1.0, 0.0, 0.5])
 arm = armctl.load("panda", base="planar", scene=wall)
 simulation = armctl.Simulation(arm)
 for point in ([2.2, 0.4, 0.5], [-2.0, -1.0, 0.4], [2.0, -0.8, 0.6]):

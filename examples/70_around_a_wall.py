@@ -4,7 +4,7 @@ import numpy as np
 
 import armctl
 
-scene = armctl.Scene().add_box("wall", [0.02, 0.02, 0.5], [0.3, 0.0, 0.25])
+scene = armctl.World().add("wall", armctl.Box([0.02, 0.02, 0.5]), [0.3, 0.0, 0.25])
 arm = armctl.load("robot_arm_3dof", scene=scene)
 start = np.array([-0.8, 0.9, -1.2])
 goal = np.array([0.8, 0.9, -1.2])

@@ -4,10 +4,10 @@ import numpy as np
 
 import armctl
 
-scene = armctl.Scene()
+scene = armctl.World()
 for name, height in (("lower", 0.25), ("middle", 0.6), ("upper", 0.95)):
-    scene.add_box(name, [0.3, 0.8, 0.02], [0.85, 0.0, height])
-scene.add_box("back", [0.02, 0.8, 0.72], [1.01, 0.0, 0.6])
+    scene.add(name, armctl.Box([0.3, 0.8, 0.02]), [0.85, 0.0, height])
+scene.add("back", armctl.Box([0.02, 0.8, 0.72]), [1.01, 0.0, 0.6])
 
 arm = armctl.load("panda", scene=scene)
 forwards = np.column_stack([[0, 0, -1], [0, 1, 0], [1, 0, 0]])  # the tip's z axis points into the shelf

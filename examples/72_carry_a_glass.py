@@ -4,8 +4,8 @@ import numpy as np
 
 import armctl
 
-scene = armctl.Scene().add_cylinder("glass", 0.025, 0.12, [0.5, 0.3, 0.06], mass=0.2)
-scene.add_box("wall", [0.4, 0.04, 0.3], [0.5, 0.0, 0.15])
+scene = armctl.World().add("glass", armctl.Cylinder(0.025, 0.12), [0.5, 0.3, 0.06], mass=0.2)
+scene.add("wall", armctl.Box([0.4, 0.04, 0.3]), [0.5, 0.0, 0.15])
 arm = armctl.load("panda", scene=scene)
 sim = armctl.Simulation(arm)
 down = np.diag([1.0, -1.0, -1.0])  # the tip's z axis points down

@@ -11,8 +11,8 @@ STICK = """<mujoco model="stick"><option cone="elliptic"/><worldbody><body name=
 <geom type="capsule" fromto="0 0 0 0 0 0.09" size="0.01" mass="0.1" friction="0.2" priority="1"/>
 <site name="tip" pos="0 0 0.09"/></body></worldbody></mujoco>"""
 box = np.array([0.35, 0.0, 0.025])
-scene = armctl.Scene().add_box("table", [0.6, 0.8, 0.02], [0.35, 0.0, -0.01])
-scene.add_box("box", [0.08, 0.06, 0.05], box + np.array([0.0, 0.0, 1e-4]), mass=0.2)
+scene = armctl.World().add("table", armctl.Box([0.6, 0.8, 0.02]), [0.35, 0.0, -0.01])
+scene.add("box", armctl.Box([0.08, 0.06, 0.05]), box + np.array([0.0, 0.0, 1e-4]), mass=0.2)
 arm = armctl.load(Path(__file__).parent / "models" / "desk_arm.urdf", tool=mujoco.MjSpec.from_string(STICK), scene=scene)
 
 way = np.array([0.03, 0.09, 0.0])

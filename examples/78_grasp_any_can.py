@@ -7,9 +7,9 @@ import armctl
 CAN = armctl.Cylinder(0.03, 0.12)
 PLACES = {"left": [0.5, 0.25, 0.26], "middle": [0.6, 0.0, 0.26], "right": [0.5, -0.25, 0.26]}
 
-scene = armctl.Scene().add_box("table", [0.6, 1.0, 0.04], [0.55, 0.0, 0.18])
+scene = armctl.World().add("table", armctl.Box([0.6, 1.0, 0.04]), [0.55, 0.0, 0.18])
 for name, place in PLACES.items():
-    scene.add_cylinder(name, CAN.radius, CAN.length, place, mass=0.1)
+    scene.add(name, CAN, place, mass=0.1)
 arm = armctl.load("panda", scene=scene)
 grasps = armctl.Region.union(
     armctl.Region.around(CAN, at, distance=0.015, margin=0.04, name=name) for name, at in PLACES.items()
