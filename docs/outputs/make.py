@@ -15,6 +15,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 
 TABLE = re.compile(r"(<!-- armctl (compare [^|>]*?)(?: [|] ([^>]*?))? -->\n).*?(<!-- end -->)", re.DOTALL)
+PROGRAM = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 REACHED = re.compile(r"reached within .*")
 
 
@@ -88,6 +89,6 @@ if __name__ == "__main__":
     if not names or "info" in names:
         (HERE / "info.txt").write_text(printed("-m", "armctl", "info", "robot_arm_3dof"), encoding="utf-8")
     if not names or "README" in names:
-        readme, panda = ROOT / "README.md", (HERE / "05_menagerie_panda.txt").read_text(encoding="utf-8")
+        readme = ROOT / "README.md"
         text = TABLE.sub(compared, readme.read_text(encoding="utf-8"))
-        readme.write_text(REACHED.sub(REACHED.findall(panda)[0], text), encoding="utf-8")
+        readme.write_text(REACHED.sub(printed("-c", PROGRAM.findall(text)[0]).strip(), text), encoding="utf-8")
