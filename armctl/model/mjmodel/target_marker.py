@@ -4,6 +4,8 @@ A model may have a body of this name itself; otherwise `armctl.load` adds one. A
 can lack it, because a body cannot be added to a compiled model.
 """
 
+import copy
+
 import mujoco
 
 from armctl.core.errors import ModelError
@@ -79,3 +81,13 @@ def _mocap(model: mujoco.MjModel) -> int | None:
         return None
     mocap = int(model.body_mocapid[body])
     return mocap if mocap >= 0 else None
+
+
+def without_marker(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of a model in which the marker of the target is not drawn; a body of that name that is no marker stays."""
+    hidden = copy.copy(model)
+    if is_movable(model):
+        body = find_target(model)
+        hidden.geom_rgba[model.geom_bodyid == body, 3] = 0.0
+        hidden.site_rgba[model.site_bodyid == body, 3] = 0.0
+    return hidden

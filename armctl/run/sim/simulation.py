@@ -22,6 +22,7 @@ from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.loading.load import load
 from armctl.model.mjmodel.queries import has_obstacles
+from armctl.model.mjmodel.target_marker import without_marker
 from armctl.run.execution.commands import Commands
 from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
 from armctl.run.execution.move import RunPurpose, read_controller
@@ -170,7 +171,7 @@ class Simulation(Commands):
             size: Width and height in pixels, in [16, 8192].
 
         Returns:
-            The picture. Its `points` are in the world; those on the arm itself are among them.
+            The picture, without the marker of `target`. Its `points` are in the world; those on the arm itself are among them.
 
         Raises:
             InputError: A size out of bounds, or a camera whose optical axis is not in the middle.
@@ -185,7 +186,7 @@ class Simulation(Commands):
         from armctl.report.render.renderer import check_size
 
         if self._eyes is None:
-            self._eyes = Eyes(self._stepper.model)
+            self._eyes = Eyes(without_marker(self._stepper.model))
         mujoco.mj_kinematics(self._stepper.model, self._stepper.data)
         mujoco.mj_camlight(self._stepper.model, self._stepper.data)
         return self._eyes.look(self._stepper.data, camera, check_size(size))
