@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import viser
 
 _TEXT_INTERVAL_S = 0.15
-_START_DELAY_S = 2.0  # the first page is drawn before the arm moves, unless a visitor drags the target
+_START_DELAY_S = 1.0  # the first page, with a stick figure, is drawn before the arm moves, unless a visitor drags the target
 _JOIN_TIMEOUT_S = 0.5
 _PRELOADED_MODULES = ("mjviser", "armctl._core")  # slow to import: loaded while MuJoCo compiles the model
 _MAX_NOTICE_LENGTH = 400
