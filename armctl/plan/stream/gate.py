@@ -40,9 +40,7 @@ class Gate:
 
     ```python
     gate = armctl.Gate(arm)
-    answer = gate.admit(setpoint, q=chunk, times=times)
-    if not answer:
-        print(answer)
+    print(gate.admit(setpoint, q=chunk, times=times))
     ```
 
     A world may change between two calls; `gate.admit(motion, at=t)` says whether the motion that runs may go on in it. It is no
