@@ -288,9 +288,11 @@ class WebScene:
         points = [data.xpos[model.dof_bodyid[other.dof_adr[0]]] for other in others]
         points += [each.fk(each.home).position for each in (*others, arm)]
         target = find_target(model)
+        handles = np.empty((0, 3))
         if target is not None:
-            points += [data.xpos[target], *(data.xpos[target] + _HANDLES_M)]
-        view = fitted_camera(arm, [data], np.array(points), _NARROW_ASPECT)
+            points.append(data.xpos[target])
+            handles = data.xpos[target] + _HANDLES_M
+        view = fitted_camera(arm, [data], np.array(points), _NARROW_ASPECT, handles)
         forward, _, up = axes(*np.radians([view.azimuth, view.elevation]))
         model_fov = np.radians(model.vis.global_.fovy)
         fov = np.radians(_FIELD_OF_VIEW_DEG)

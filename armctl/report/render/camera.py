@@ -11,6 +11,7 @@ from armctl.model.arm.arm import Arm
 from armctl.report.render.stick_figure import StickFigure, drawn_geoms, has_shapes
 
 _MARGIN = 1.08  # width of the picture over width of its contents
+_NOTHING_M = np.empty((0, 3))
 _TURNS_RAD = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from the model's own azimuth
 _PATH_POINTS = 24  # that are tested for visibility
 _SIDE_VIEW_WEIGHT = 0.5  # of seeing the path's full length, against seeing all of its points
@@ -25,13 +26,15 @@ class Axes(NamedTuple):
     up: Array
 
 
-def fitted_camera(arm: Arm, states: Sequence[mujoco.MjData], path: Array, aspect: float) -> mujoco.MjvCamera:
-    """A free camera that shows an arm in several states and the path of its tip.
+def fitted_camera(
+    arm: Arm, states: Sequence[mujoco.MjData], path: Array, aspect: float, also: Array = _NOTHING_M
+) -> mujoco.MjvCamera:
+    """A free camera that shows an arm in several states, the path of its tip, and further points (k, 3) m.
 
     Of twelve azimuths it takes the one with the fewest hidden points and the most of the path seen from the side.
     """
     model = arm.model
-    corners = np.concatenate([*(box_corners(arm, data) for data in states), path])
+    corners = np.concatenate([*(box_corners(arm, data) for data in states), path, also])
     azimuth = np.radians(model.vis.global_.azimuth)
     elevation = np.radians(model.vis.global_.elevation)
     cameras = [fitted_view(model, corners, azimuth + turn, elevation, aspect) for turn in _TURNS_RAD]
