@@ -56,6 +56,14 @@ def _instability(*case: Any) -> str:
     return instability(*case)
 
 
+def _why_not_borne(*case: Any) -> str:
+    """Why the link to a robot cannot bear a controller."""
+    from armctl.lab.loops.link_margins import why_not_borne
+
+    return why_not_borne(*case)
+
+
 hooks.open_viewer = _open_viewer
 hooks.instability = _instability
+hooks.why_not_borne = _why_not_borne
 warn_if_foreign_armctl_is_installed()

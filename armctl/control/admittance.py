@@ -33,6 +33,7 @@ class Admittance(ArmController):
 
     name = "admittance"
     needs_wrench = True
+    yields = True
     mass: Gain[Array] = tip_gain(above_zero=True)
     damping: Gain[Array] = tip_gain()
     stiffness: Gain[Array] = tip_gain()

@@ -22,6 +22,7 @@ class HandGuiding:
     """Gravity and most of the friction are compensated, so a hand can move the arm; near limits it resists."""
 
     name = "hand-guiding"
+    yields = True
 
     def __init__(self, arm: Arm, friction_share: float = 0.7):
         """A floating arm.

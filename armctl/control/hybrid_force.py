@@ -45,6 +45,7 @@ class HybridForce(ArmController):
 
     name = "hybrid-force"
     needs_wrench = True
+    yields = True
     frame: Gain[str] = choice_gain(FRAMES)
     bandwidth: Gain[float] = scalar_gain()
     damping_ratio: Gain[float] = scalar_gain()

@@ -31,6 +31,7 @@ class Impedance(ArmController):
     """
 
     name = "impedance"
+    yields = True
     error_max: Gain[Array] = tip_bound()
     damping_ratio: Gain[float] = scalar_gain()
     posture_stiffness: Gain[Array] = joint_gain()

@@ -78,12 +78,14 @@ class Traits(NamedTuple):
         needs_wrench: Whether it reads `State.wrench`.
         needs_deflection: Whether it reads `State.deflection`.
         foresee: Takes the reference of the coming ticks before each call of `torque`; None if the controller does not plan.
+        yields: Whether the arm leaves its reference by design, as under impedance control.
     """
 
     name: str
     needs_wrench: bool = False
     needs_deflection: bool = False
     foresee: Callable[[TickReference], None] | None = None
+    yields: bool = False
 
 
 class ControllerWrapper:
@@ -105,6 +107,7 @@ def traits(controller: object) -> Traits:
         needs_wrench=getattr(controller, "needs_wrench", False),
         needs_deflection=getattr(controller, "needs_deflection", False),
         foresee=getattr(controller, "foresee", None),
+        yields=getattr(controller, "yields", False),
     )
 
 

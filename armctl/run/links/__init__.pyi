@@ -10,3 +10,5 @@ from .link_check import LinkCheck as LinkCheck
 from .plant_link import PlantLink as PlantLink
 from .ros2 import ROS2 as ROS2
 from .so101 import SO101 as SO101
+from .torque_interface import TorqueInterface as TorqueInterface
+from .torque_interface import TorqueLink as TorqueLink

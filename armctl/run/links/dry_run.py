@@ -12,6 +12,7 @@ from armctl.core.log import Log
 from armctl.core.result import left_out_text
 from armctl.core.validation import Array
 from armctl.run.links.link import HandReading, Link, Reading, check_link
+from armctl.run.links.torque_interface import TorqueInterface
 
 if TYPE_CHECKING:
     from armctl.model.collision.checker import CollisionChecker
@@ -98,10 +99,11 @@ class DryRun:
         link: The link of the robot.
         rehearsals: What each command would have sent, in the order of time.
         dt: s, the tick.
-        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        name, address, envelope, rest_speed, settle, payload, passes_time, torque: As of every link.
     """
 
     passes_time = True
+    torque: TorqueInterface | None = None  # it computes none
 
     def __init__(self, link: Link):
         """A rehearsal of what a program would send over a link that is not open yet.

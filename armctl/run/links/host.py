@@ -15,15 +15,21 @@ import numpy as np
 
 from armctl.core.errors import LinkError
 from armctl.core.limits import Limits
+from armctl.core.trajectory import Setpoint, TickReference
 from armctl.core.validation import Array
 from armctl.plan.motion.trajectory.path_stop import REST_SPEED, stopped
 from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, sample, standing
+from armctl.run.links.delay_probe import measured_delay
 from armctl.run.links.link import HandReading, Link, MotionLink, Reading
+from armctl.run.links.torque_interface import TorqueLink
+from armctl.run.links.torque_loop import LinkLaw, TorqueLoop
 
 START_TOLERANCE = 1e-5  # rad, between the last command and the start of a motion; the wire may have single precision
+_LAW_START_TOLERANCE = 0.02  # rad, likewise under a law: between two streams the robot's own servo holds the arm where it is
 MAX_JOIN_GAP = 1e-6  # rad, between the end of one motion and the start of the next; single precision is 1e-7
 _NEVER = 2**60
 _IDLE_S = 0.1  # at rest, until a stream ends
+_LONGEST_IDLE_S = 1.0  # of a law under which the arm is not at rest
 _LEAD_S = 0.02  # between a request and its effect, where time passes by itself
 
 
@@ -35,7 +41,8 @@ class Readings(NamedTuple):
     q: Array  # (m, n) rad
     v: Array  # (m, n) rad/s
     tau: Array  # (m, n) N m
-    sent: Array  # (m, n) rad, the positions that were sent
+    sent: Array  # (m, n) rad, the positions that were sent, or those that a law followed
+    torque: Array  # (m, n) N m, that a law commanded, with what the maker adds; NaN without a law
 
 
 class Progress(NamedTuple):
@@ -52,6 +59,7 @@ class Played(NamedTuple):
     reason: str = ""  # why it is not played; empty if it is
     opens: bool = False  # whether it opens a stream, whose ticks begin with 0
     late: int = 0  # ticks by which it came too late; the arm then comes to rest on the motion before
+    fails: bool = False  # whether a law failed, and the arm is being damped
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +67,31 @@ class _TimedMotion:
     at: int
     pieces: Pieces
     samples: Array  # (T, n) rad, one each tick
+    reference: TickReference | None  # (T, n) each, for a law; None where only positions are sent
 
     @classmethod
-    def from_pieces(cls, at: int, pieces: Pieces, dt: float) -> _TimedMotion:
+    def from_pieces(cls, at: int, pieces: Pieces, dt: float, for_law: bool) -> _TimedMotion:
         ticks = int(np.ceil(pieces.knots[-1] / dt - 1e-9))
-        return cls(at, pieces, sample(pieces, dt * np.arange(ticks + 1, dtype=np.float64)).q)
+        samples = sample(pieces, dt * np.arange(ticks + 1, dtype=np.float64))
+        if not for_law:
+            return cls(at=at, pieces=pieces, samples=samples.q, reference=None)
+        q = np.vstack([samples.q, samples.q[-1:]])
+        moving = np.append(np.arange(ticks + 1) * dt < pieces.knots[-1], False)[:, None]  # it ends at rest
+        v = moving * np.vstack([samples.v, samples.v[-1:]])
+        a = moving * np.vstack([samples.a, samples.a[-1:]])
+        reference = TickReference.between(q, v, a, q[0], dt, continuous=True)
+        return cls(at=at, pieces=pieces, samples=samples.q, reference=reference)
 
     def sample_at(self, tick: int) -> Array:
-        return self.samples[min(max(tick - self.at, 0), len(self.samples) - 1)]
+        return self.samples[self._row(tick)]
+
+    def setpoint_at(self, tick: int) -> Setpoint:
+        assert self.reference is not None
+        row = self._row(tick)
+        return Setpoint(*(column[row] for column in self.reference))
+
+    def _row(self, tick: int) -> int:
+        return min(max(tick - self.at, 0), len(self.samples) - 1)
 
     @property
     def end(self) -> int:
@@ -76,14 +101,18 @@ class _TimedMotion:
 class Player:
     """The samples of one stream. `play` and `stop` may be called by another thread than `next`."""
 
-    def __init__(self, q: Array, dt: float, limits: Limits, lead: int):
-        """A player that stands at q. A request, such as a stop, has its effect after `lead` ticks: a stop has to be planned."""
+    def __init__(self, q: Array, dt: float, limits: Limits, lead: int, for_law: bool = False):
+        """A player that stands at q. A request, such as a stop, has its effect after `lead` ticks: a stop has to be planned.
+
+        One `for_law` gives whole setpoints.
+        """
         self.tick = -1  # the tick of the last sample; -1 before the first
         self.dt = dt  # s
         self._limits = limits
         self._lead = lead
+        self._for_law = for_law
         self._lock = Lock()
-        self._motions = [_TimedMotion.from_pieces(0, standing(q), dt)]  # each until the next one begins
+        self._motions = [self._timed(0, standing(q))]  # each until the next one begins
         self._stopped_from = _NEVER
         self._send: Callable[[int, int, JointSamples], bool] | None = None  # `MotionLink.send_motion`
 
@@ -101,10 +130,20 @@ class Player:
 
     def next(self, ticks: int = 1) -> Array:
         with self._lock:
-            self.tick += ticks
-            while len(self._motions) > 1 and self._motions[1].at <= self.tick:
-                self._motions.pop(0)
-            return self._motions[0].sample_at(self.tick)
+            return self._advance(ticks).sample_at(self.tick)
+
+    def next_setpoint(self, ticks: int = 1) -> Setpoint:
+        with self._lock:
+            return self._advance(ticks).setpoint_at(self.tick)
+
+    def _advance(self, ticks: int) -> _TimedMotion:
+        self.tick += ticks
+        while len(self._motions) > 1 and self._motions[1].at <= self.tick:
+            self._motions.pop(0)
+        return self._motions[0]
+
+    def _timed(self, at: int, pieces: Pieces) -> _TimedMotion:
+        return _TimedMotion.from_pieces(at, pieces, self.dt, self._for_law)
 
     def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> Played:
         """Replaces what follows a tick by a motion to rest."""
@@ -120,7 +159,7 @@ class Player:
             before = self._motions[-1]
             if first < before.at:
                 return Played(first, "the motion starts before the one that was sent last")
-            motion = _TimedMotion.from_pieces(first, pieces, self.dt)
+            motion = self._timed(first, pieces)
             gap = float(np.abs(motion.samples[0] - before.sample_at(first)).max())
             if gap > MAX_JOIN_GAP:
                 return Played(first, f"the motion starts {gap:.2g} rad from where the last one is then")
@@ -138,7 +177,7 @@ class Player:
             t = self.dt * (tick - motion.at)
             braked = motion
             if t < motion.pieces.knots[-1]:
-                braked = _TimedMotion.from_pieces(motion.at, stopped(motion.pieces, self._limits, t), self.dt)
+                braked = self._timed(motion.at, stopped(motion.pieces, self._limits, t))
             with self._lock:
                 if self.tick < tick and motion in self._motions:
                     motions = [*self._motions[: self._motions.index(motion)], braked]
@@ -175,13 +214,16 @@ def _rows(motions: Sequence[_TimedMotion], first: int, dt: float) -> JointSample
 class LinkHost:
     """A link with the player of its stream. `play`, `stop` and `poll` may be called by another thread than `advance`."""
 
-    def __init__(self, link: Link):
+    def __init__(self, link: Link, law: LinkLaw | None = None):
+        """A host that sends positions, or the torques of a law."""
         self.link = link
         self.streaming = False  # whether a stream is open
         self._lock = Lock()
         self._player: Player | None = None
         self._last: Reading | None = None
-        self._kept: list[tuple[int, Reading, Array]] = []
+        self._law = law
+        self._torques: TorqueLoop | None = None if law is None else TorqueLoop(law, link.dt)
+        self._kept: list[tuple[int, Reading, Array, Array]] = []  # tick, reading, position, and torque of a law
         self._fault = ""
         self._stopped = ""
         self._lost = 0
@@ -202,6 +244,19 @@ class LinkHost:
         self.link.recover()
         self._fault = ""
 
+    def measure_delay(self) -> float:
+        """s, from a command to the torque, with its jitter, of a link that gives none; the arm is held meanwhile.
+
+        Raises:
+            LinkError: No torques are measured that follow the commands.
+        """
+        assert self._law is not None
+        assert self._torques is not None
+        given = self._law.interface.delay
+        delay = measured_delay(self._torque_link, self.link, self._law) if given is None else given
+        self._torques.expect_delay(delay)
+        return delay
+
     def read_hand(self) -> HandReading:
         return self.link.read_hand()
 
@@ -215,6 +270,8 @@ class LinkHost:
         """Plays a motion to rest from a tick of the open stream, or after some ticks; opens a stream if there is none."""
         with self._lock:
             if self.streaming and self._player is not None:
+                if self._torques is not None and self._torques.fault:
+                    return Played(0, self._torques.fault, fails=True)
                 return self._player.play(pieces, at, delay)
             if at is not None:
                 why = self._fault or self._stopped
@@ -225,22 +282,26 @@ class LinkHost:
         start = pieces.coefficients[0, 0]
         gap = np.abs(reading.q_ref - start)
         joint = int(gap.argmax())
-        if gap[joint] > START_TOLERANCE:
+        if gap[joint] > (START_TOLERANCE if self._torques is None else _LAW_START_TOLERANCE):
             return Played(
                 0,
                 f"joint {joint + 1} of the robot was commanded to {reading.q_ref[joint]:.5f} rad, but the motion starts at "
                 f"{start[joint]:.5f} rad: it moved after the motion was planned; plan again",
             )
-        player = Player(start, self.link.dt, limits, self._lead)
+        player = Player(start, self.link.dt, limits, self._lead, for_law=self._torques is not None)
         played = player.play(pieces, delay)
         if played.reason:
             return played
         self._stopped = ""
         self._fault = ""
         self._kept = []
-        self.link.start()
-        if isinstance(self.link, MotionLink) and not player.send_to(self.link):
-            raise LinkError(f"{self.link.name}: the motion came too late; end other programs")
+        if self._torques is not None:
+            self._torques.start()
+            self._torque_link.start_torques()
+        else:
+            self.link.start()
+            if isinstance(self.link, MotionLink) and not player.send_to(self.link):
+                raise LinkError(f"{self.link.name}: the motion came too late; end other programs")
         with self._lock:
             self._player = player
             self.streaming = True
@@ -261,13 +322,10 @@ class LinkHost:
             if reading.fault:
                 raise LinkError(reading.fault)
             self._lost += ticks - 1
-            row = player.next(ticks)
-            with self._lock:
-                last = player.tick - player.end > _IDLE_S / self.link.dt
-                self.link.send(row, last)
-                self._last = reading
-                self._kept.append((player.tick, reading, row))
-                self.streaming = not last
+            if self._torques is None:
+                self._send_position(player, player.next(ticks), reading)
+            else:
+                self._send_torques(self._torques, player, reading, ticks)
         except LinkError as error:
             with self._lock:
                 self._fault = str(error)
@@ -275,6 +333,36 @@ class LinkHost:
             if self._takes_motions:  # the robot goes on with the motion that it has
                 with contextlib.suppress(LinkError):
                     player.stop()
+
+    def _send_position(self, player: Player, row: Array, reading: Reading) -> None:
+        with self._lock:
+            last = player.tick - player.end > _IDLE_S / self.link.dt
+            self.link.send(row, last)
+            self._keep(player.tick, reading, row, np.full(len(row), np.nan), last)
+
+    def _send_torques(self, torques: TorqueLoop, player: Player, reading: Reading, ticks: int) -> None:
+        setpoint = player.next_setpoint(ticks)
+        tau = torques.next(reading, setpoint, ticks)
+        row = reading.q if torques.fault else setpoint.q
+        with self._lock:
+            idle = (player.tick - player.end) * self.link.dt
+            is_still = bool(np.abs(reading.v).max() < self.link.rest_speed)
+            last = torques.is_over or (not torques.fault and idle > (_IDLE_S if is_still else _LONGEST_IDLE_S))
+            self._torque_link.send_torques(tau, last)
+            self._keep(player.tick, reading._replace(q_ref=row), row, torques.total, last)
+            if torques.is_over:
+                self._fault = torques.fault
+
+    def _keep(self, tick: int, reading: Reading, row: Array, torque: Array, last: bool) -> None:
+        self._last = reading
+        self._kept.append((tick, reading, row, torque))
+        self.streaming = not last
+
+    @property
+    def _torque_link(self) -> TorqueLink:
+        link = self.link
+        assert isinstance(link, TorqueLink)
+        return link
 
     def poll(self) -> Progress:
         """How far the stream is, and the readings since the last question."""
@@ -284,12 +372,13 @@ class LinkHost:
             tick = -1 if self._player is None else self._player.tick
             streaming = self.streaming
         readings = Readings(
-            tick=np.array([tick for tick, _, _ in kept], dtype=np.float64),
-            t=np.array([reading.t for _, reading, _ in kept]),
-            q=np.array([reading.q for _, reading, _ in kept]),
-            v=np.array([reading.v for _, reading, _ in kept]),
-            tau=np.array([reading.tau for _, reading, _ in kept]),
-            sent=np.array([row for _, _, row in kept]),
+            tick=np.array([tick for tick, _, _, _ in kept], dtype=np.float64),
+            t=np.array([reading.t for _, reading, _, _ in kept]),
+            q=np.array([reading.q for _, reading, _, _ in kept]),
+            v=np.array([reading.v for _, reading, _, _ in kept]),
+            tau=np.array([reading.tau for _, reading, _, _ in kept]),
+            sent=np.array([row for _, _, row, _ in kept]),
+            torque=np.array([torque for _, _, _, torque in kept]),
         )
         return Progress(tick, streaming, self._fault, self._stopped, self._lost, readings)
 

@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from armctl.core.validation import Array, instance
 from armctl.plan.motion.trajectory.piecewise import JointSamples
 from armctl.run.links.envelope import Envelope
+from armctl.run.links.torque_interface import TorqueInterface
 
 
 class Reading(NamedTuple):
@@ -74,6 +75,7 @@ class Link(HandLink, Protocol):
         settle: m, and rad, how near to a target the robot's own servo ends.
         payload: kg that the robot is set to; None if it has no such setting.
         passes_time: Whether `wait` makes the time pass, as in a simulation that runs as fast as it can: it needs no process.
+        torque: What the robot does with torques, of a link that is a `TorqueLink`, too; None if it takes none.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Link(HandLink, Protocol):
     settle: tuple[float, float]
     payload: float | None
     passes_time: bool
+    torque: TorqueInterface | None = None
 
     def open(self) -> None:
         """Connects; nothing moves."""

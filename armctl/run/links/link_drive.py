@@ -36,9 +36,12 @@ class LinkDrive:
 
     continuous = True
     source = LogSource.ROBOT
-    torques = LogTorques.MEASURED
 
-    def __init__(self, arm: Arm, host: LinkHost | RemoteHost, link: Link, envelope: Envelope, tip_speed: float):
+    def __init__(
+        self, arm: Arm, host: LinkHost | RemoteHost, link: Link, envelope: Envelope, tip_speed: float, *, has_law: bool
+    ):
+        """A drive of a link that is open; `has_law` if its host computes torques."""
+        self.torques = LogTorques.BOTH if has_law else LogTorques.MEASURED
         self.actuation = arm.actuation  # the arm's joints
         self.dt = link.dt  # s, the tick
         self.description = f"robot: {link.name}"
@@ -136,6 +139,9 @@ class LinkDrive:
         if played.late:
             self.late += played.late
             self.come_to_rest(stop=False)
+        elif played.fails:
+            while self._stream.current is not None:
+                self._wait_for(self._stream.current.tick + 1)
         elif played.reason:
             self.failure = f"not sent: {played.reason}" if is_at_rest else f"{played.reason}; the arm came to rest on its path"
         else:

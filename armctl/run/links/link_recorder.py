@@ -82,4 +82,8 @@ class LinkRecorder(Recorder):
         rows.v[:] = readings.v[measured]
         rows.tau[:] = readings.tau[measured]
         rows.tau_cmd[:] = rows.tau
+        if np.isfinite(readings.torque).any():
+            # Under a law, a row has the torque of the tick that begins with it, which is measured at the end of the tick.
+            rows.tau_cmd[:] = readings.torque[measured]
+            rows.tau[:] = readings.tau[np.minimum(measured + 1, len(readings.tick) - 1)]
         rows.count = len(ticks)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.computed_torque import ComputedTorque
+from armctl.control.interface import Controller
 from armctl.core.atomic import file_path
 from armctl.core.errors import LinkError
 from armctl.core.trajectory import TickReference
@@ -20,6 +21,8 @@ from armctl.model.arm.arm import Arm, check_arm
 from armctl.run.links.envelope import Envelope
 from armctl.run.links.link import HandReading, Link, Reading
 from armctl.run.links.link_check import base_pose
+from armctl.run.links.simulated_motors import SimulatedMotors
+from armctl.run.links.torque_interface import TorqueInterface, TorqueLink
 from armctl.run.sim.gripper.gripper import Gripper
 from armctl.run.sim.plant import Plant, read_plant
 from armctl.run.sim.stepper import Stepper
@@ -27,14 +30,16 @@ from armctl.run.sim.stepper import Stepper
 _MAX_CONTINUED_TICKS = 20  # without a row, that the servo goes on as before
 
 
-class PlantLink(Link):
+class PlantLink(Link, TorqueLink):
     """A simulated robot with its own servo, computed torque, which knows the positions that it was sent and nothing else.
+
+    It takes torques, too. It then adds what its interface says, and refuses what its interface does not allow.
 
     Attributes:
         sent: How many rows it was sent.
         q_start: (n,) rad, where it stands when the link is opened.
         dt: s, the tick.
-        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        name, address, envelope, rest_speed, settle, payload, passes_time, torque: As of every link.
     """
 
     address = ""
@@ -52,6 +57,7 @@ class PlantLink(Link):
         faults: Mapping[int, str] | None = None,
         envelope: Envelope | None = None,
         payload: float | None = None,
+        torque: TorqueInterface | None = None,
         real_time: bool = False,
         record: str | os.PathLike[str] | None = None,
     ):
@@ -61,13 +67,14 @@ class PlantLink(Link):
             arm: The robot; that of the program may differ from it.
             plant: How the robot differs from this arm.
             q_start: (n,) rad, where it stands; home by default.
-            lag: Ticks until its servo gets a row.
+            lag: Ticks until its servo gets a row, or its motors torques.
             lost: How many ticks are lost, by the number of the row before which they are.
             faults: What the robot reports, by the number of the row at which it does; it then stops until `recover`.
             envelope: What its maker would publish; by default the limits of the program's arm count.
             payload: kg that it is set to; None if it has no such setting.
+            torque: What it does with torques; by default it passes them to its motors, and allows those of the arm.
             real_time: Whether its time is the clock's, in a process of its own; otherwise it runs as fast as it can.
-            record: A file for the rows that it is sent, in binary float64: the time of its tick, s, and n positions.
+            record: A file for the rows that it is sent, in binary float64: the time of its tick, s, and n positions or torques.
 
         Raises:
             InputError: An argument of another type, or a negative number.
@@ -80,6 +87,10 @@ class PlantLink(Link):
         self.dt = arm.dt if self.plant.timestep is None else self.plant.timestep
         self.envelope = envelope
         self.payload = payload
+        if torque is not None:
+            instance("torque", torque, TorqueInterface, "armctl.links.TorqueInterface(tau_max=arm.limits.tau_max) is one")
+            vector("torque.tau_max", torque.tau_max, arm.n, finite=False)
+        self.torque: TorqueInterface | None = TorqueInterface(arm.limits.tau_max) if torque is None else torque
         self.passes_time = not flag("real_time", real_time)
         self.sent = 0
         self._arm = arm
@@ -100,7 +111,7 @@ class PlantLink(Link):
         self._pending = 0  # ticks that began, and are simulated when the next one does
 
     def open(self) -> None:
-        self._robot = _SimulatedRobot(self._arm, self.plant, self.q_start, self._lag)
+        self._robot = _SimulatedRobot(self._arm, self.plant, self.q_start, self._lag, self.torque)
         self._pending = 0
         if self._record_path is not None:
             self._record = self._record_path.open("ab", buffering=0)
@@ -120,6 +131,10 @@ class PlantLink(Link):
         self._due = time.monotonic()
         self._pending = 0
         self._opened().streaming = True
+
+    def start_torques(self) -> None:
+        self.start()
+        self._opened().begin_torques()
 
     def wait(self) -> tuple[int, Reading]:
         ticks = 1 + self._lost.pop(self.sent, 0)
@@ -143,15 +158,35 @@ class PlantLink(Link):
             raise LinkError(self._fault)
         q = vector("q", q, self._arm.n)
         last = flag("last", last)
+        self._note(q)
+        self._opened().send(q)
+        if last:
+            self._end_stream()
+
+    def send_torques(self, tau: Array, last: bool) -> None:
+        if self._fault:
+            raise LinkError(self._fault)
+        tau = vector("tau", tau, self._arm.n)
+        last = flag("last", last)
         robot = self._opened()
+        self._note(tau)
+        self._fault = robot.send_torques(tau)
+        if self._fault:
+            raise LinkError(self._fault)
+        if last:
+            self._end_stream()
+            robot.hold(robot.stepper.state.q)
+
+    def _note(self, row: Array) -> None:
+        """Counts and records a row."""
         self.sent += 1
         if self._record is not None:
-            self._record.write(np.append(self.dt * (robot.tick + 1), q).tobytes())
-        robot.send(q)
-        if last:
-            robot.streaming = False
-            self._pass(1)
-            self._pending = 0
+            self._record.write(np.append(self.dt * (self._opened().tick + 1), row).tobytes())
+
+    def _end_stream(self) -> None:
+        self._opened().streaming = False
+        self._pass(1)
+        self._pending = 0
 
     def recover(self) -> None:
         self._fault = ""
@@ -178,7 +213,7 @@ class PlantLink(Link):
         robot = self._opened()
         state = robot.stepper.measured_state
         fault = self._fault or robot.stepper.failure
-        return Reading(state.t, np.array(state.q), np.array(state.v), robot.stepper.motor_torque, robot.commanded, fault)
+        return Reading(state.t, np.array(state.q), np.array(state.v), robot.motor_torque, robot.commanded, fault)
 
     def _gripper(self) -> Gripper:
         robot = self._opened()
@@ -196,9 +231,9 @@ class PlantLink(Link):
 
 
 class _SimulatedRobot:
-    """A simulated arm with the servo that follows the rows on their way to it."""
+    """A simulated arm with the servo that follows the rows on their way to it, or motors that give torques."""
 
-    def __init__(self, arm: Arm, plant: Plant, q_start: Array, lag: int):
+    def __init__(self, arm: Arm, plant: Plant, q_start: Array, lag: int, torque: TorqueInterface | None):
         self.stepper = Stepper(arm, plant)
         self.stepper.reset(q_start)
         self.gripper: Gripper | None = None
@@ -206,40 +241,84 @@ class _SimulatedRobot:
         self.tick = 0
         self.commanded = np.array(q_start)  # (n,) rad, the row that was sent last
         self._dt = self.stepper.dt
+        self._arm = arm
         self._lag = lag
         self._servo = ComputedTorque(arm)
+        self._motors = None if torque is None else SimulatedMotors(arm, torque, self._dt)
+        self._takes_torques = False
         self._rows = deque([np.array(q_start)] * 3, maxlen=3)
         self._waiting: deque[tuple[int, Array]] = deque()  # rows on their way, with the tick at which they arrive
         self._arrived = 0  # the tick at which the last row did
 
+    @property
+    def motor_torque(self) -> Array:
+        """(n,) N m, of the motors in the last tick; before the first one, that which holds the arm."""
+        return self.stepper.motor_torque if self.tick else self._arm.gravity(self.stepper.q)
+
+    def begin_torques(self) -> None:
+        """Gives the motors what they gave in the last tick, until torques arrive."""
+        if self._motors is None:
+            raise LinkError("the robot takes no torques")
+        self._motors.begin(self.motor_torque, self.stepper.state)
+        self._waiting.clear()
+        self._arrived = self.tick
+        self._takes_torques = True
+
     def send(self, q: Array) -> None:
         self.commanded = q
         self._waiting.append((self.tick + 1 + self._lag, q))
+
+    def send_torques(self, tau: Array) -> str:
+        """Why the robot refuses torques, and stops; empty if it does not."""
+        assert self._motors is not None
+        if not self._takes_torques:
+            return f"no torques came for {_MAX_CONTINUED_TICKS} ticks; the robot holds the arm itself"
+        refusal = self._motors.refusal(tau)
+        if refusal:
+            self.hold(self.stepper.state.q)
+        else:
+            self._waiting.append((self.tick + 1 + self._lag, tau))
+        return refusal
 
     def hold(self, q: Array) -> None:
         """Forgets all rows, and stands at q."""
         self.commanded = np.array(q)
         self._rows.extend([self.commanded] * 3)
         self._waiting.clear()
+        self._takes_torques = False
 
     def simulate(self, ticks: int, has_fault: bool) -> None:
         """Simulates ticks. Where a row is lost, the servo goes on as before; it works one row behind, to know a difference."""
         stepper = self.stepper
         for _ in range(ticks):
-            if has_fault and np.ptp(np.array(self._rows), axis=0).max() > 0.0:
+            if has_fault and (self._takes_torques or np.ptp(np.array(self._rows), axis=0).max() > 0.0):
                 self.hold(stepper.state.q)
             self.tick += 1
-            expected = self._rows[-1]
-            if self.streaming and self.tick - self._arrived < _MAX_CONTINUED_TICKS:
-                expected = 2.0 * expected - self._rows[-2]
-            self._rows.append(expected)
-            while self._waiting and self._waiting[0][0] <= self.tick:
-                self._rows[-1] = self._waiting.popleft()[1]
-                self._arrived = self.tick
-            before, now, after = self._rows
-            v = (now - before) / self._dt
-            a = (after - 2.0 * now + before) / self._dt**2
-            row = TickReference(*(column[None] for column in (now, v, a, v, a)))
+            if self._takes_torques and self.tick - self._arrived > self._lag + _MAX_CONTINUED_TICKS:
+                self.hold(stepper.state.q)  # its own brake: no torques come
+            controller: Controller = self._servo
+            row = self._next_row()
+            if self._takes_torques and self._motors is not None:
+                controller = self._motors
             recorder = stepper.recorder()
             if not stepper.failure:
-                stepper.run(self._servo, row, recorder)
+                stepper.run(controller, row, recorder)
+
+    def _next_row(self) -> TickReference:
+        """What the servo follows in this tick; the torques that arrive in it go to the motors."""
+        expected = self._rows[-1]
+        if self.streaming and self.tick - self._arrived < _MAX_CONTINUED_TICKS:
+            expected = 2.0 * expected - self._rows[-2]
+        if self._takes_torques and self._motors is not None:
+            expected = self.stepper.state.q
+            while self._waiting and self._waiting[0][0] <= self.tick:
+                self._motors.arrived = self._waiting.popleft()[1]
+                self._arrived = self.tick
+        self._rows.append(expected)
+        while self._waiting and self._waiting[0][0] <= self.tick:
+            self._rows[-1] = self._waiting.popleft()[1]
+            self._arrived = self.tick
+        before, now, after = self._rows
+        v = (now - before) / self._dt
+        a = (after - 2.0 * now + before) / self._dt**2
+        return TickReference(*(column[None] for column in (now, v, a, v, a)))

@@ -19,6 +19,7 @@ from armctl.core.validation import Array
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.run.links.host import LinkHost, Played, Progress
 from armctl.run.links.link import HandReading, Link, Reading
+from armctl.run.links.torque_loop import LinkLaw
 
 _QUESTION_INTERVAL_S = 0.02
 _ANSWER_TIMEOUT_S = 30.0  # a hand closes in some seconds
@@ -32,8 +33,8 @@ def serve(descriptor: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     connection = Connection(descriptor)
-    link, lease = connection.recv()
-    host = LinkHost(link)
+    link, lease, law = connection.recv()
+    host = LinkHost(link, law)
     gc.disable()  # a collection lasts longer than a tick
     calls: SimpleQueue[Callable[[], None]] = SimpleQueue()
     listener = Thread(target=_listen, args=(connection, host, lease, calls), daemon=True)
@@ -88,8 +89,8 @@ def _answer(connection: Connection, host: LinkHost, request: str, arguments: tup
 class RemoteHost:
     """A LinkHost in a process of its own, with the same methods."""
 
-    def __init__(self, link: Link, lease: float):
-        """Starts the process, which brakes the arm after `lease` s without a request."""
+    def __init__(self, link: Link, lease: float, law: LinkLaw | None = None):
+        """Starts the process, which brakes the arm after `lease` s without a request; it computes a law if there is one."""
         self._connection, other = Pipe()
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self._process = subprocess.Popen(
@@ -100,7 +101,7 @@ class RemoteHost:
             start_new_session=True,  # Ctrl-C is for the planner, which brakes the arm
         )
         other.close()
-        self._connection.send((link, lease))
+        self._connection.send((link, lease, law))
 
     def open(self) -> None:
         self._call("open")
@@ -113,6 +114,9 @@ class RemoteHost:
 
     def recover(self) -> None:
         self._call("recover")
+
+    def measure_delay(self) -> float:
+        return self._call("measure_delay")
 
     def read_hand(self) -> HandReading:
         return self._call("read_hand")

@@ -13,6 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from armctl.control.interface import Controller
 from armctl.core import hooks
 from armctl.core.errors import InputError, LinkError, ModelError
 from armctl.core.faces import named_after_itself
@@ -41,6 +42,7 @@ from armctl.run.links.link_check import LinkCheck, link_check_of, model_refusal,
 from armctl.run.links.link_drive import LinkDrive
 from armctl.run.links.process import RemoteHost
 from armctl.run.links.robot_arm import RobotArm
+from armctl.run.links.robot_law import check_that_link_bears, link_law
 
 LEASE_S = 0.5  # without a request of the planner, until the arm brakes
 _SLOWEST = 0.02  # of a motion's speed; one that must be slower is refused
@@ -55,13 +57,15 @@ class Robot(Commands):
 
     Before anything is sent, a motion is proved free of contacts with the model's scene, and its samples are checked against
     what the maker publishes. They are sent by a process of its own; where the program stops, fails or hangs, the arm brakes on
-    its path. A fault of the robot stays until `recover`.
+    its path. A fault of the robot stays until `recover`. With `controller=` that process computes the torques of a controller,
+    which follows the same motions.
 
     Attributes:
         arm: The model, with the limits of the robot's motions.
         link: The link, as it was given.
         lost_ticks: Ticks that the stream lost until now.
         late_ticks: Ticks by which motions of `follow` came too late until now.
+        delay: s, from a command of the controller to the torque, with its jitter; NaN without `controller=`.
 
     Example:
         >>> with armctl.Robot("fr3", armctl.links.Franka("172.16.0.2")) as robot:
@@ -77,6 +81,8 @@ class Robot(Commands):
         tip_speed: float = 0.25,
         payload: float = 0.0,
         allow_contact: bool = False,
+        controller: Controller | str | None = None,
+        error_max: float | None = None,
     ):
         """Connects to a robot, and checks that it is the model's. Nothing moves.
 
@@ -87,6 +93,11 @@ class Robot(Commands):
             tip_speed: m/s, the greatest speed of the tip.
             payload: kg at the tip; the robot must be set to the same.
             allow_contact: Whether motions may be asked for with `avoid=False`, and the arm may have links without a shape.
+            controller: A controller or its name, whose torques are sent instead of positions, if the link takes torques. By
+                default the robot's own servo follows the motions. It is refused if it leaves less than one tick of delay
+                margin, or a peak sensitivity above 2, at the delay of the link, which is measured: the arm is held meanwhile.
+            error_max: rad, by which a joint may leave its reference before the controller is ended, 0.1 by default; no bound
+                for controllers that yield by design, such as impedance.
 
         Raises:
             InputError: An argument of another type, or a number out of its bounds.
@@ -109,17 +120,19 @@ class Robot(Commands):
         self._lock = _lock(link.address)
         with contextlib.ExitStack() as failed:
             failed.callback(self._unlock)
-            self._host = LinkHost(link) if link.passes_time else RemoteHost(link, LEASE_S)
+            law = link_law(arm, link, controller, envelope, error_max)
+            self._host = LinkHost(link, law) if link.passes_time else RemoteHost(link, LEASE_S, law)
             failed.callback(self._host.close)
             self._host.open()
             refusal = model_refusal(model, self._host.read(), self._host.tip(), link.payload, payload)
             if refusal:
                 raise LinkError(refusal)
-            self._drive = LinkDrive(arm, self._host, link, envelope, tip_speed)
+            self.delay: float = np.nan if law is None else check_that_link_bears(law, self._host, link.dt)
+            self._drive = LinkDrive(arm, self._host, link, envelope, tip_speed, has_law=law is not None)
             failed.pop_all()
-        self._controlled: RobotArm = RobotArm(arm, self._drive, self._provable)
+        self._controlled: RobotArm = RobotArm(arm, self._drive, self._provable, None if law is None else law.controller)
         super().__init__(self._controlled)
-        self._settle = link.settle
+        self._settle = link.settle if law is None else law.interface.settle or link.settle
         self._closed = False
 
     @property

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from armctl.control.interface import State
+from armctl.control.interface import Controller, State
 from armctl.core.errors import LinkError
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array
@@ -19,9 +19,18 @@ class RobotArm(ControlledArm):
 
     reaction: ContactReaction | None = None
 
-    def __init__(self, arm: Arm, drive: LinkDrive, provable: Callable[[JointTrajectory], JointTrajectory | None]):
-        """An arm whose drive is given; `provable` slows a motion down as far as needed, or refuses it."""
-        super().__init__(arm, _OwnServo(drive.description.removeprefix("robot: ")), drive)
+    def __init__(
+        self,
+        arm: Arm,
+        drive: LinkDrive,
+        provable: Callable[[JointTrajectory], JointTrajectory | None],
+        controller: Controller | None,
+    ):
+        """An arm whose drive is given; `provable` slows a motion down as far as needed, or refuses it.
+
+        Without a controller, which the link computes, the robot's own servo follows.
+        """
+        super().__init__(arm, controller or _OwnServo(drive.description.removeprefix("robot: ")), drive)
         self._link_drive = drive
         self._provable = provable
 

@@ -1,0 +1,177 @@
+"""TorqueLoop: the controller of a robot, tick by tick, in the process of its link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.control.external_force import ExternalForce
+from armctl.control.interface import Controller, State, traits
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array
+from armctl.model.arm.arm import Arm
+from armctl.run.links.envelope import Envelope
+from armctl.run.links.link import Reading
+from armctl.run.links.torque_interface import TorqueInterface
+from armctl.run.links.torque_limiter import TorqueLimiter
+
+_START_FADE_S = 0.2  # in which the torque that held the arm before gives way to that of the law
+_DAMPING_TIME_S = 0.03  # with which the speed decays after a failure
+_DELAYS_PER_DAMPING_TIME = 4.0  # at least: a damper is stable up to pi / 2 of them
+_LONGEST_DAMPING_S = 0.5  # until the maker's brakes end a motion that the damper does not
+_REST_TICKS = 10  # below the speed of rest, until the brakes are set
+_LONGEST_GAP_TICKS = 15  # that are lost at once, after which a law does not go on
+
+
+@dataclass(frozen=True, eq=False)
+class LinkLaw:
+    """A controller for a robot, with what its process must know of it.
+
+    Attributes:
+        arm: The model.
+        controller: The law.
+        interface: What the robot does with torques.
+        envelope: The maker's limits of positions and speeds.
+        error_max: rad, by which a joint may be away from its reference; infinite for a law that yields.
+        rest_speed: rad/s, as of the link.
+    """
+
+    arm: Arm
+    controller: Controller
+    interface: TorqueInterface
+    envelope: Envelope
+    error_max: float
+    rest_speed: float
+
+
+class TorqueLoop:
+    """Computes the torques of a stream. A law that fails is replaced by damping and gravity until the arm rests."""
+
+    def __init__(self, law: LinkLaw, dt: float):
+        """The loop of a law with a tick of dt s; no call of it takes longer than the others."""
+        self.fault = ""  # why the law was ended; empty while it goes on
+        self.is_over = False  # whether the arm rests after a fault, or its brakes must end the motion
+        self._arm = law.arm
+        self._law = law
+        self._torque = law.controller.torque
+        self._name = traits(law.controller).name
+        self._needs_wrench = traits(law.controller).needs_wrench
+        self._force = ExternalForce(law.arm)
+        self._dt = dt
+        self._bounds = TorqueLimiter(law.arm, law.interface, dt)
+        self._fade_ticks = max(1, round(_START_FADE_S / dt))
+        self._is_first = True  # whether the stream has not begun
+        self._ticks = 0  # of the law in the stream
+        self._calls = 0  # of the law, whose clock knows no lost ticks, nor streams
+        self._offset = np.zeros(law.arm.n)  # N m, the torque before the stream minus that of the law
+        self._damped = 0  # ticks since the fault
+        self._resting = 0  # ticks of these at rest
+        self._damping_time = _DAMPING_TIME_S
+        self._rehearse()
+
+    @property
+    def total(self) -> Array:
+        """(n,) N m, the torque of the last tick with what the maker adds to it."""
+        return self._bounds.total
+
+    def expect_delay(self, delay: float) -> None:
+        """Takes the delay of the link, s, which the damping after a failure must bear."""
+        self._damping_time = max(_DAMPING_TIME_S, _DELAYS_PER_DAMPING_TIME * delay)
+
+    def start(self) -> None:
+        """Begins a stream: the arm is held by the torques of its first reading, and then by those of the law."""
+        self.fault = ""
+        self.is_over = False
+        self._ticks = 0
+        self._damped = 0
+        self._resting = 0
+        self._calls += 2  # a gap in the time of the law, which begins anew
+        self._force.reset()
+        self._is_first = True
+
+    def next(self, reading: Reading, setpoint: Setpoint, ticks: int) -> Array:
+        """The torques to send, (n,) N m, `ticks` ticks after the last ones."""
+        if self._is_first:
+            self._bounds.start(reading)
+            self._is_first = False
+        if not self.fault:
+            total = self._of_law(reading, setpoint, ticks)
+            if not self.fault:
+                return self._bounds.to_send(total, reading)
+        return self._of_damper(reading)
+
+    def _of_law(self, reading: Reading, setpoint: Setpoint, ticks: int) -> Array:
+        self.fault = self._why_not(reading, setpoint, ticks)
+        if self.fault:
+            return np.zeros(0)
+        wrench = self._wrench(reading, ticks) if self._needs_wrench else None
+        state = State(reading.q, reading.v, self._calls * self._dt, self._dt, True, wrench)
+        self._calls += 1
+        try:
+            total = np.asarray(self._torque(state, setpoint), dtype=np.float64)
+        except Exception as error:  # a law may be a user's
+            self.fault = f"the controller {self._name:.80} failed: {type(error).__name__}: {error}"
+            return np.zeros(0)
+        if total.shape != reading.q.shape or not np.isfinite(total).all():
+            self.fault = f"the controller {self._name:.80} gave no finite torque for each joint"
+            return total
+        if self._ticks == 0:
+            self._offset = self._bounds.total - total
+        if self._ticks < self._fade_ticks:
+            total = total + 0.5 * (1.0 + np.cos(np.pi * self._ticks / self._fade_ticks)) * self._offset
+        self._ticks += 1
+        return total
+
+    def _wrench(self, reading: Reading, ticks: int) -> Array:
+        """(6,) N and N m, that of the environment on the tip by the torque sensors."""
+        self._force.update(reading.q, reading.v, reading.tau, ticks * self._dt)
+        return self._force.wrench(reading.q)
+
+    def _why_not(self, reading: Reading, setpoint: Setpoint, ticks: int) -> str:
+        """Why the law must end; empty if it may go on."""
+        q = reading.q
+        v = reading.v
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            return "the robot measured no finite positions and speeds"
+        if ticks - 1 > _LONGEST_GAP_TICKS and self._ticks:
+            return f"{ticks - 1} ticks were lost at once, too many for a controller of torques"
+        if self._needs_wrench and not np.isfinite(reading.tau).all():
+            return f"{self._name:.80} needs the force on the tip, but the robot measured no finite torques"
+        error = np.abs(q - setpoint.q)
+        joint = int(error.argmax())
+        if error[joint] > self._law.error_max:
+            return (
+                f"{self._arm.joint_names[joint]} is {error[joint]:.3g} rad from its reference under {self._name:.80}, at most "
+                f"{self._law.error_max:.3g} rad; error_max= of the Robot is this bound"
+            )
+        return self._bounds.why_outside(q, v, self._law.envelope)
+
+    def _of_damper(self, reading: Reading) -> Array:
+        """The torques after a failure: they take the speed away, until the arm rests or a time is over."""
+        self._damped += 1
+        q = reading.q
+        v = reading.v
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            self.is_over = True
+            return self._bounds.sent
+        self._resting = self._resting + 1 if np.abs(v).max() < self._law.rest_speed else 0
+        self.is_over = self._resting >= _REST_TICKS or self._damped * self._dt >= _LONGEST_DAMPING_S
+        braking = self._arm.mass_matrix(q) @ v / self._damping_time
+        return self._bounds.to_send(self._arm.gravity(q) - braking, reading)
+
+    def _rehearse(self) -> None:
+        """Calls once what is called in a tick, so that nothing is prepared in the first one."""
+        n = self._arm.n
+        q = self._arm.home
+        zero = np.zeros(n)
+        reading = Reading(0.0, q, zero, zero, q)
+        self._force.update(q, zero, zero, self._dt)
+        steps: list[Callable[[], object]] = [
+            lambda: self.next(reading, Setpoint(q, zero, zero, zero, zero), 1),
+            lambda: self._of_damper(reading),
+        ]
+        for step in steps:
+            step()
+        self.start()
