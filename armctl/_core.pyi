@@ -675,6 +675,20 @@ class Chain:
         As search_regions, but slides each q towards q0 within its region first.
         """
 
+    def relax_in_regions(
+        self,
+        regions: numpy.ndarray,
+        spacing: numpy.ndarray,
+        position_tolerance: float,
+        orientation_tolerance: float,
+        is_start_held: bool,
+        sweeps: int,
+        q: numpy.ndarray,
+    ) -> None:
+        """
+        Shortens the path q (N, n), each row of which stays in its region (N, 38); spacing (N - 1,) is between them.
+        """
+
     def random_starts(self, q0: numpy.ndarray, first: int, seed: int, q: numpy.ndarray) -> None:
         """
         Fills q (B, n) with random configurations of numbers from `first` on: odd ones inside the bounds, others in one turn.

@@ -88,7 +88,7 @@ inline void add_cone_error(const Region& region, const Rotation& tip, RegionErro
     }
     // Turning about the middle keeps the tilt.
     if (region.cone > 0.0) { error.add_free(middle); }
-    constexpr double lost_to_rounding = 1e-9;
+    constexpr double lost_to_rounding = 1e-14;
     const Vec3 unit = sine > lost_to_rounding ? (1.0 / sine) * normal : axis_of(tip, (region.axis + 1) % 3);
     error.rotation = (tilt - region.cone) * unit;
 }

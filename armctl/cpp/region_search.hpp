@@ -22,4 +22,37 @@ inline Descent slide_within(IkSolver& solver, const Region& region, const Tolera
     return descend_into(solver, region, tolerances, q0, q);
 }
 
+// Regions that a tip passes in turn, in reaches, and the distances between them, which are positive.
+struct RegionPath {
+    std::vector<Region> regions;  // N
+    Vector spacing;               // (N - 1,)
+};
+
+// Factor on the way of a configuration to the mean of its neighbours: successive over-relaxation (D. M. Young, "Iterative Solution of
+// Large Linear Systems", 1971) needs fewer sweeps than Gauss and Seidel's method, which has a factor of 1.
+constexpr double OVER_RELAXATION = 1.5;
+
+// Shortens a path of configurations q (N, n), each of which stays in its region: one sweep over all of them, forwards or backwards.
+//
+// It decreases the sum of |q_k+1 - q_k|^2 / spacing_k: each configuration goes to the mean of its neighbours, and back into its region.
+// Those that do not get there stay. Both ends are free unless the first one is held.
+inline void relax_once(IkSolver& solver, const RegionPath& path, const Tolerances& tolerances, bool is_start_held, bool forwards,
+                       MatrixResult q, Result trial) {
+    const size_t count = path.regions.size();
+    for (size_t step = 0; step < count; ++step) {
+        const size_t k = forwards ? step : count - 1 - step;
+        if (k == 0 && is_start_held) { continue; }
+        const double before = k > 0 ? 1.0 / path.spacing[k - 1] : 0.0;
+        const double after = k + 1 < count ? 1.0 / path.spacing[k] : 0.0;
+        for (size_t i = 0; i < trial.size(); ++i) {
+            double mean = 0.0;
+            if (k > 0) { mean += before * q.row(k - 1)[i]; }
+            if (k + 1 < count) { mean += after * q.row(k + 1)[i]; }
+            mean /= before + after;
+            trial[i] = solver.chain().unknowns()[i].bounds.clamp(q.row(k)[i] + OVER_RELAXATION * (mean - q.row(k)[i]));
+        }
+        if (solver.descend(&Unknown::bounds, path.regions[k], tolerances, trial).solved) { std::ranges::copy(trial, q.row(k).begin()); }
+    }
+}
+
 }  // namespace armctl

@@ -154,6 +154,20 @@ void slide_in_regions(const Chain& chain, const In& regions, const IntegersIn& n
                     });
 }
 
+void relax_in_regions(const Chain& chain, const In& regions, const In& spacing, double position_tolerance, double orientation_tolerance,
+                      bool is_start_held, std::int64_t sweeps, const Out& q) {
+    const Matrix sets = regions.matrix(regions.length("regions"), REGION_NUMBERS, "regions");
+    RegionPath path{.regions = {}, .spacing = spacing.vector(std::max<size_t>(sets.rows, 1) - 1, "spacing")};
+    for (size_t k = 0; k < sets.rows; ++k) { path.regions.push_back(region_of(sets.row(k)).scaled(1.0 / chain.reach())); }
+    const MatrixResult rows = q.matrix(sets.rows, chain.n(), "q");
+    IkSolver solver(chain);
+    const Tolerances tolerances = solver.in_reaches({position_tolerance, orientation_tolerance});
+    std::vector<double> trial(chain.n());
+    for (std::int64_t sweep = 0; sweep < sweeps && sets.rows > 1; ++sweep) {
+        relax_once(solver, path, tolerances, is_start_held, sweep % 2 == 0, rows, trial);
+    }
+}
+
 void nearest_members(const In& region, const In& tips, const Out& members) {
     const Region given = region_of(region.vector(REGION_NUMBERS, "region"));
     const Matrix poses = tips.matrix(tips.length("tips"), 12, "tips");
@@ -249,6 +263,9 @@ void bind_chain(nb::module_& module) {
             "Descends from each q (K, n) into the region (R, 38) of its number (K,), and winds it to q0 (n,). Fills solved and steps (K,).")
         .def("slide_in_regions", &slide_in_regions, "regions"_a, "numbers"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a,
              "q"_a, "solved"_a, "steps"_a, Release(), "As search_regions, but slides each q towards q0 within its region first.")
+        .def("relax_in_regions", &relax_in_regions, "regions"_a, "spacing"_a, "position_tolerance"_a, "orientation_tolerance"_a,
+             "is_start_held"_a, "sweeps"_a, "q"_a, Release(),
+             "Shortens the path q (N, n), each row of which stays in its region (N, 38); spacing (N - 1,) is between them.")
         .def("random_starts", &random_starts, "q0"_a, "first"_a, "seed"_a, "q"_a, Release(),
              "Fills q (B, n) with random configurations of numbers from `first` on: odd ones inside the bounds, others in one turn.")
         .def("descend", &descend, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q"_a, "solved"_a,

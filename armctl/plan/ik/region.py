@@ -24,6 +24,7 @@ _ANGLES = slice(3, 6)
 _NO_AXIS = -1.0
 _IDENTITY = Pose([0.0, 0.0, 0.0])
 _DOWN = Pose([0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0])  # half a turn about x
+_VERTICAL = 1e-3  # the sine of an angle to the vertical below which no level direction is across
 _MIN_NORMAL = 1e-9  # of the length of a normal
 
 
@@ -163,13 +164,8 @@ class Region:
         positions, directions = read_surface(points, normals)
         positions = positions + number("distance", distance) * directions
         frames = frames_along(-directions, free)
-        return _region_of(
-            tuple(
-                part
-                for position, rotation in zip(positions, frames, strict=True)
-                for part in cls(computed_pose(position.copy(), rotation.copy()), free=free, cone=cone).parts
-            )
-        )
+        poses = [computed_pose(position, rotation) for position, rotation in zip(positions, frames, strict=True)]
+        return _region_of(tuple(cone_parts(poses, free, cone)))
 
     @classmethod
     def around(
@@ -325,6 +321,14 @@ def _towards_axis(distance: float, upright: Array) -> Pose:
     return Pose.from_rotation([distance, 0.0, 0.0], np.column_stack(columns))
 
 
+def cone_parts(poses: Iterable[Pose], free: str | None, cone: float) -> list[RegionPart]:
+    """The parts of regions at poses with the same freedom, checked once."""
+    middle = Region(_IDENTITY, free=free, cone=cone).parts[0]
+    return [
+        RegionPart(frame=pose, bounds=middle.bounds, tip=middle.tip, free=free, cone=middle.cone, name="") for pose in poses
+    ]
+
+
 def _region_of(parts: tuple[RegionPart, ...]) -> Region:
     region = Region.__new__(Region)
     object.__setattr__(region, "parts", parts)
@@ -372,22 +376,23 @@ def frames_along(directions: Array, axis: str) -> Array:
 
     From one direction to the next the frame turns as little as possible, so that it does not jump along a path.
     """
-    rotations = np.empty((len(directions), 3, 3))
     first = "xyz".index(axis)
-    second = (first + 1) % 3
-    third = (first + 2) % 3
-    across = np.array([0.0, 0.0, 1.0])
-    across = np.cross(across, directions[0])
-    if np.linalg.norm(across) < 1e-3:  # the direction is vertical
-        across = np.array([1.0, 0.0, 0.0])
-    for rotation, direction in zip(rotations, directions, strict=True):
-        rest = across - (across @ direction) * direction
-        if np.linalg.norm(rest) < 1e-6:  # of a sharp turn: any direction across
-            rest = np.cross(direction, np.eye(3)[int(np.abs(direction).argmin())])
-        across = rest / np.linalg.norm(rest)
+    rotations = np.empty((len(directions), 3, 3))
+    x, y, z = directions[0].tolist()
+    across = [-y, x, 0.0] if math.hypot(x, y) > _VERTICAL else [1.0, 0.0, 0.0]
+    for rotation, direction in zip(rotations, directions.tolist(), strict=True):
+        x, y, z = direction
+        along = across[0] * x + across[1] * y + across[2] * z
+        rest = [across[0] - along * x, across[1] - along * y, across[2] - along * z]
+        length = math.hypot(*rest)
+        if length < _VERTICAL:  # of a sharp turn: any direction across
+            rest = [-y, x, 0.0] if math.hypot(x, y) > _VERTICAL else [1.0, 0.0, 0.0]
+            length = math.hypot(*rest)
+        across = [each / length for each in rest]
+        u, v, w = across
         rotation[:, first] = direction
-        rotation[:, second] = across
-        rotation[:, third] = np.cross(direction, across)
+        rotation[:, (first + 1) % 3] = across
+        rotation[:, (first + 2) % 3] = y * w - z * v, z * u - x * w, x * v - y * u
     return rotations
 
 

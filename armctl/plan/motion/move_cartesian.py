@@ -19,8 +19,9 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.ik.all_solutions import solve_ik_all
+from armctl.plan.ik.region import Region
 from armctl.plan.motion.checks import planning_arm
-from armctl.plan.motion.given_duration import read_duration
+from armctl.plan.motion.given_duration import lasting, read_duration
 from armctl.plan.motion.moving_start import planned_from
 from armctl.plan.motion.path.joint_path import JointPath, joint_path_along
 from armctl.plan.motion.path.path_segments import MIN_LENGTH, Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn
@@ -143,35 +144,69 @@ def move_c(
 @with_options(PathOptions, PATH_DEFAULTS)
 def move_path(
     arm: Arm,
-    q_start: Pose | Setpoint | ArrayLike,
-    path: Sequence[Line | Arc | Pose | ArrayLike],
+    q_start: Pose | Setpoint | ArrayLike | None,
+    path: Sequence[Line | Arc | Pose | ArrayLike] | Region | ArrayLike,
     *,
+    normals: ArrayLike | None = None,
+    free: str | None = None,
+    cone: float = 0.0,
     blend: float = 0.0,
     **options: Unpack[PathOptions],
 ) -> JointTrajectory:
-    """The fastest motion of the tip on lines and arcs with rounded corners, to rest at its end.
+    """The fastest motion of the tip on lines and arcs, or through many points with a tool that may turn, to rest at its end.
 
     Inside the blend radius of a corner the path is rounded; outside it is exact. If the radius is 0, the tip stops. It also
     stops at a sharp corner where that is faster: a path with blends never takes longer than one without.
 
+    With `free` or `normals` the path is a tool path: the tip passes all of its points without stopping, at each of them turned
+    about the free axis as it likes, which is tilted by the cone at most. A joint path is found over all branches and turns, and
+    shortened. Between points more than a centimetre apart it follows a line. Points close to each other make a smooth path.
+
     Args:
-        q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves; or the pose of the tip at the start.
-        path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
-        blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
+        q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves; or the pose of the tip at the start. Of a
+            tool path (n,) rad, where the tip is at the first point, or None: then the best configuration there is the start.
+        path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without. Of a tool path
+            (N, 3) m with normals, N poses, or a Region whose parts are passed in turn.
+        normals: (N, 3) or (3,), of a tool path, out of the surface: the free axis points against them.
+        free: "x", "y" or "z": the axis of the tip about which the tool may turn; with normals "z" if left out.
+        cone: rad, by which this axis may tilt.
+        blend: m, the radius around each corner in which it is rounded, at most half of each neighbour; not of a tool path.
         **options: `speed`, `tip_speed`, `tip_angular_speed` and `duration`, as in `PathOptions`.
 
     Raises:
-        InputError: An argument of the wrong shape, kind or value.
+        InputError: An argument of the wrong shape, kind or value, or a tool path that crosses itself.
         LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
         PlanError: The path leaves the reach or the joint limits, a motor cannot hold the arm on it, or the duration is
-            too short.
+            too short. Of a tool path the error names the first point that no joint path passes, and what limits it.
     """
+    if is_tool_path(path, normals, free, cone):
+        from armctl.plan.motion.tool_path import tool_path
+
+        _require_known("move_path", options)
+        if blend:
+            raise InputError("blend: a tool path passes all of its points; leave the blend out")
+        if isinstance(q_start, (Pose, Setpoint)):
+            raise InputError("q_start: a tool path starts at rest, at joint positions or at None; None takes the best")
+        return lasting(arm, tool_path(arm, q_start, path, normals, free, cone, options), read_duration(options.get("duration")))
+    if q_start is None:
+        raise InputError("q_start: only a tool path, with normals or a free axis, may start anywhere; give joint positions")
     return _planned(arm, q_start, _Request("move_path", read_path(path), number("blend", blend, 0.0)), options)
 
 
-def read_path(path: Sequence[Line | Arc | Pose | ArrayLike]) -> list[Line | Arc]:
+def is_tool_path(path: object, normals: ArrayLike | None, free: str | None, cone: float) -> bool:
+    """Whether the arguments of `move_path` are those of a tool path."""
+    return normals is not None or free is not None or bool(cone) or isinstance(path, Region)
+
+
+def _require_known(function: str, options: PathOptions) -> None:
+    """Raises TypeError for an option that there is not."""
+    for name in options.keys() - PathOptions.__annotations__.keys():
+        raise TypeError(f"{function}() got an unexpected keyword argument {name!r}")
+
+
+def read_path(path: Sequence[Line | Arc | Pose | ArrayLike] | Region | ArrayLike) -> list[Line | Arc]:
     """The lines and arcs of a path, at least one; a pose or a point becomes a line to it. InputError if it is no list."""
-    if isinstance(path, (Pose, str)) or not isinstance(path, Iterable) or getattr(path, "shape", None) == ():
+    if isinstance(path, (Pose, Region, str)) or not isinstance(path, Iterable) or getattr(path, "shape", None) == ():
         raise InputError(f"path: expected a list of lines, arcs, poses or points, got {shown(path)}")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
     if not parts:
@@ -188,8 +223,7 @@ class _Request(NamedTuple):
 
 
 def _planned(arm: Arm, q_start: Pose | Setpoint | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
-    for name in options.keys() - PathOptions.__annotations__.keys():
-        raise TypeError(f"{request.function}() got an unexpected keyword argument {name!r}")
+    _require_known(request.function, options)
     seconds = read_duration(options.get("duration"))
     return planned_from(arm, q_start, lambda start: _plan(arm, start, request, options), seconds)
 

@@ -27,7 +27,17 @@ from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.plan.ik.region import Region
 from armctl.plan.ik.tree_problem import read_tasks
 from armctl.plan.motion.given_duration import read_duration
-from armctl.plan.motion.move_cartesian import PATH_DEFAULTS, Arc, Line, PathOptions, move_c, move_l, move_path, read_path
+from armctl.plan.motion.move_cartesian import (
+    PATH_DEFAULTS,
+    Arc,
+    Line,
+    PathOptions,
+    is_tool_path,
+    move_c,
+    move_l,
+    move_path,
+    read_path,
+)
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
@@ -271,13 +281,24 @@ class Commands:
 
     @_shows_options
     def move_path(
-        self, path: Sequence[Line | Arc | Pose | ArrayLike], *, blend: float = 0.0, **options: Unpack[PathMoveOptions]
+        self,
+        path: Sequence[Line | Arc | Pose | ArrayLike] | Region | ArrayLike,
+        *,
+        normals: ArrayLike | None = None,
+        free: str | None = None,
+        cone: float = 0.0,
+        blend: float = 0.0,
+        **options: Unpack[PathMoveOptions],
     ) -> MoveResult:
-        """Moves the tip along lines and arcs with rounded corners.
+        """Moves the tip along lines and arcs with rounded corners, or on a tool path, as `armctl.move_path`.
 
         Args:
-            path: Lines and arcs; a pose or a point is a line to it.
-            blend: m, the radius around each corner in which it is rounded.
+            path: Lines and arcs; a pose or a point is a line to it. Of a tool path points, poses or a Region; the tip has to be
+                at its first point.
+            normals: (N, 3) or (3,), of a tool path, out of the surface: the free axis points against them.
+            free: "x", "y" or "z": the axis of the tip about which the tool may turn.
+            cone: rad, by which this axis may tilt.
+            blend: m, the radius around each corner in which it is rounded; not of a tool path.
             **options: `speed`, `tip_speed`, `tip_angular_speed`, `duration`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Raises:
@@ -285,6 +306,9 @@ class Commands:
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         check_one_tip(self.arm)
+        if is_tool_path(path, normals, free, cone):
+            planner = partial(move_path, self.arm, self._start, path, normals=normals, free=free, cone=cone, blend=blend)
+            return self._move_along(Target.read(self.tip), planner, ends_at_target=False, **options)
         parts = read_path(path)
         last = parts[-1]
         ends_at_target = not (isinstance(last, Arc) and last.angle is not None)

@@ -1,0 +1,168 @@
+"""Tool paths: hundreds of points that the tip passes, each with the freedom of a region."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.core.errors import InputError, PlanError
+from armctl.core.pose import Pose, computed_pose
+from armctl.core.validation import Array, IntArray, array, choice, shown
+from armctl.model.arm.arm import Arm, check_one_tip
+from armctl.plan.ik.region import Region, RegionPart, cone_parts, frames_along, read_surface
+from armctl.plan.motion.checks import planning_arm
+from armctl.plan.motion.path.joint_path import JointPath
+from armctl.plan.motion.path.path_segments import Turn
+from armctl.plan.motion.path.region_path import RegionPath, joint_path_through, nominal_poses, region_path
+from armctl.plan.motion.path.tip_caps import TipCaps
+from armctl.plan.motion.timing.otg import slowed_to_bounds
+from armctl.plan.motion.timing.path_timing import time_optimal
+from armctl.plan.motion.torque_limits import within_torque
+from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.plan.motion.trajectory.limit_check import is_inside
+from armctl.plan.motion.trajectory.piecewise import joints_of, standing
+
+ToolPoints = Any  # Region | Sequence[Pose] | ArrayLike: the type ArrayLike includes Sequence
+_MAX_POINTS = 20_000
+_MAX_GAP_M = 0.01  # between two points: farther ones are joined by a line
+_MAX_GAP_RAD = 0.05
+_LIMIT_ROOM = 1e-4  # of the range of a joint
+_FINENESS = 2
+_CROSSING = 0.75  # of the spacing: two parts of a path that cross at right angles have points nearer than 0.71 of it
+_APART = 10  # points, between two that may be near each other
+
+
+def tool_path(
+    arm: Arm,
+    q_start: ArrayLike | None,
+    path: ToolPoints,
+    normals: ArrayLike | None,
+    free: str | None,
+    cone: float,
+    options: Mapping[str, Any],
+) -> JointTrajectory:
+    """The motion of `move_path` along points with the freedom of a region; the options are its own."""
+    check_one_tip(arm)
+    planning = planning_arm(arm, options.get("speed", 1.0))
+    parts = read_tool_path(path, normals, free, cone)
+    _require_no_crossing(parts)
+    regions = region_path(*_dense(parts))
+    start = None if q_start is None else arm.checked("q_start", q_start)
+    motion = _motion(arm, planning, regions, joint_path_through(arm, regions, start), options)
+    if is_inside(motion.pieces, arm.limits):
+        return motion
+    # Between points the spline leaves a limit at which many of them are: there is room beside narrower limits.
+    room = _LIMIT_ROOM * (arm.limits.q_max - arm.limits.q_min)
+    room = np.where(np.isfinite(room), room, 0.0)
+    narrow = arm.with_limits(replace(arm.limits, q_min=arm.limits.q_min + room, q_max=arm.limits.q_max - room))
+    start = None if start is None else narrow.limits.clamp(start)
+    motion = _motion(arm, planning, regions, joint_path_through(narrow, regions, start), options)
+    if is_inside(motion.pieces, arm.limits):
+        return motion
+    raise PlanError(f"path: {motion.check_limits().violations[0]}; start in another configuration, or widen the cone")
+
+
+def _motion(arm: Arm, planning: Arm, regions: RegionPath, q: Array, options: Mapping[str, Any]) -> JointTrajectory:
+    if len(q) == 1:
+        return JointTrajectory(*standing(q[0]), arm.joint_names, arm.limits, units=arm.units)
+    return _timed(arm, planning, _joint_path(regions.lengths, q), options)
+
+
+def _dense(parts: list[RegionPart]) -> tuple[list[RegionPart], IntArray]:
+    """The regions, with others on lines between those that are far apart, and the numbers of the given ones before each."""
+    rows = nominal_poses(parts)
+    moved = np.linalg.norm(np.diff(rows[:, 3], axis=0), axis=1)
+    turned = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=(1, 2)) / math.sqrt(2.0)
+    pieces = np.maximum(1, np.ceil(np.maximum(moved / _MAX_GAP_M, turned / _MAX_GAP_RAD))).astype(np.int64)
+    if pieces.sum() > _MAX_POINTS:
+        raise InputError(f"path: {len(parts)} points are {moved.sum():.3g} m long; at most {_MAX_POINTS * _MAX_GAP_M:g} m")
+    dense: list[RegionPart] = []
+    given: list[int] = []
+    for k, count in enumerate(pieces.tolist()):
+        dense.append(parts[k])
+        given += [k] * count
+        if count == 1:
+            continue
+        begin = parts[k].frame
+        end = parts[k + 1].frame
+        turn = Turn.between(begin.rotation, end.rotation)
+        for j in range(1, count):
+            position = begin.position + (j / count) * (end.position - begin.position)
+            dense.append(replace(parts[k], frame=computed_pose(position, turn.at(j / count))))
+    return [*dense, parts[-1]], np.array([*given, len(parts) - 1])
+
+
+def read_tool_path(path: ToolPoints, normals: ArrayLike | None, free: str | None, cone: float) -> list[RegionPart]:
+    """The regions of a tool path, one for each point: poses, points with normals, or the parts of a region."""
+    if isinstance(path, Region):
+        if normals is not None or free is not None or cone:
+            raise InputError("free: the parts of a region have their own freedom; leave normals, free and cone out")
+        parts = list(path.parts)
+    elif normals is not None:
+        axis = choice("free", "z" if free is None else free, "xyz")
+        points, directions = read_surface(array("path", path, 2), normals)
+        frames = frames_along(-directions, axis)
+        parts = cone_parts([computed_pose(p, R) for p, R in zip(points, frames, strict=True)], axis, cone)
+    else:
+        poses = list(path) if isinstance(path, Iterable) and not isinstance(path, str) else []
+        for pose in poses:
+            if not isinstance(pose, Pose):
+                raise InputError(f"path: {shown(pose)} is not a Pose; points need `normals`, the directions out of the surface")
+        parts = cone_parts(poses, free, cone)
+    if not parts:
+        raise InputError("path: it is empty; give at least one pose, or points with normals")
+    if len(parts) > _MAX_POINTS:
+        raise InputError(f"path: {len(parts)} points, at most {_MAX_POINTS}; take fewer, or divide it")
+    return parts
+
+
+def _require_no_crossing(parts: list[RegionPart]) -> None:
+    """Refuses a path that comes back to a point on it, except at its ends. Raises InputError."""
+    from scipy.spatial import KDTree
+
+    points = nominal_poses(parts)[:, 3]
+    if len(points) < 2 * _APART:
+        return
+    spacing = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    if spacing == 0.0:
+        return
+    pairs = KDTree(points).query_pairs(_CROSSING * spacing, output_type="ndarray")
+    last = len(points) - 1
+    for i, j in pairs.tolist():
+        low = min(i, j)
+        high = max(i, j)
+        is_closed = low < _APART and high > last - _APART  # it ends where it begins
+        between = points[low : high + 1] - points[low]
+        has_left = float(np.linalg.norm(between, axis=1).max()) > 2 * spacing
+        if high - low > _APART and has_left and not is_closed:
+            x, y, z = points[low]
+            raise InputError(
+                f"path: it crosses itself at [{x:.3f}, {y:.3f}, {z:.3f}] m, points {low} and {high}; divide it into two paths"
+            )
+
+
+def _joint_path(lengths: Array, q: Array) -> JointPath:
+    from scipy.interpolate import make_interp_spline
+
+    degree = 5 if len(q) > 5 else 3 if len(q) > 3 else 1
+    if degree == 1:  # a straight way has points for a spline
+        shares = np.linspace(0.0, lengths[-1], 13)
+        q = np.column_stack([np.interp(shares, lengths, column) for column in q.T])
+        lengths = shares
+        degree = 5
+    return JointPath(make_interp_spline(lengths, q, k=degree), float(lengths[-1]))
+
+
+def _timed(arm: Arm, planning: Arm, path: JointPath, options: Mapping[str, Any]) -> JointTrajectory:
+    limits = planning.limits
+    speed = options.get("speed", 1.0)
+    caps = TipCaps.from_path(arm, path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
+    pieces = time_optimal(path, limits, caps, fineness=_FINENESS)
+    free = slowed_to_bounds(joints_of(pieces), (limits.v_max, limits.a_max, limits.j_max))
+    motion = within_torque(arm, JointTrajectory(*free, arm.joint_names, arm.limits, units=arm.units))
+    return motion if caps is None else caps.kept(motion)
