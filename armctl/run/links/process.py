@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from multiprocessing.connection import Connection, Pipe
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -60,14 +61,14 @@ def _listen(connection: Connection, host: LinkHost, lease: float, calls: SimpleQ
     while True:
         try:
             if connection.poll(_QUESTION_INTERVAL_S):
-                request, arguments = connection.recv()
+                number, request, arguments = connection.recv()
                 heard = time.monotonic()
                 if request == "close":
                     break
                 if request == "poll" or (host.streaming and request in ("play", "stop", "read")):
-                    _answer(connection, host, request, arguments)
+                    _answer(connection, host, number, request, arguments)
                 else:
-                    calls.put(lambda request=request, arguments=arguments: _answer(connection, host, request, arguments))
+                    calls.put(partial(_answer, connection, host, number, request, arguments))
             elif time.monotonic() - heard > lease:
                 host.stop(f"the planner sent nothing for {lease:g} s; the arm braked on its path")
         except (EOFError, OSError):
@@ -75,7 +76,7 @@ def _listen(connection: Connection, host: LinkHost, lease: float, calls: SimpleQ
     host.stop(_PLANNER_ENDED)
 
 
-def _answer(connection: Connection, host: LinkHost, request: str, arguments: tuple[Any, ...]) -> None:
+def _answer(connection: Connection, host: LinkHost, number: int, request: str, arguments: tuple[Any, ...]) -> None:
     try:
         answer = getattr(host, request)(*arguments)
     except ArmctlError as error:
@@ -83,7 +84,7 @@ def _answer(connection: Connection, host: LinkHost, request: str, arguments: tup
     except Exception as error:  # of a maker's client
         answer = LinkError(f"{type(error).__name__}: {error}")
     with contextlib.suppress(OSError):  # the planner may be gone
-        connection.send(answer)
+        connection.send((number, answer))
 
 
 class RemoteHost:
@@ -92,6 +93,7 @@ class RemoteHost:
     def __init__(self, link: Link, lease: float, law: LinkLaw | None = None):
         """Starts the process, which brakes the arm after `lease` s without a request; it computes a law if there is one."""
         self._connection, other = Pipe()
+        self._requests = 0
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "armctl.run.links", str(other.fileno())],
@@ -140,7 +142,7 @@ class RemoteHost:
     def close(self) -> None:
         """Ends the process, which brakes first."""
         with contextlib.suppress(OSError):
-            self._connection.send(("close", ()))
+            self._connection.send((0, "close", ()))
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_CLOSE_TIMEOUT_S)
         self._process.kill()
@@ -149,10 +151,14 @@ class RemoteHost:
 
     def _call(self, request: str, *arguments: Any) -> Any:
         try:
-            self._connection.send((request, arguments))
-            if not self._connection.poll(_ANSWER_TIMEOUT_S):
-                raise LinkError(f"the process that holds the link does not answer within {_ANSWER_TIMEOUT_S:g} s")
-            answer = self._connection.recv()
+            self._requests += 1
+            self._connection.send((self._requests, request, arguments))
+            number = 0
+            answer = None
+            while number != self._requests:  # Ctrl-C may have left the answer to the request before
+                if not self._connection.poll(_ANSWER_TIMEOUT_S):
+                    raise LinkError(f"the process that holds the link does not answer within {_ANSWER_TIMEOUT_S:g} s")
+                number, answer = self._connection.recv()
         except (EOFError, OSError):
             raise LinkError("the process that holds the link ended; make a new Robot") from None
         if isinstance(answer, Exception):

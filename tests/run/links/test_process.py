@@ -143,6 +143,29 @@ def test_the_death_of_the_process_is_a_fault():
     robot.close()
 
 
+def test_an_answer_that_ctrl_c_left_behind_is_not_taken_for_the_next_one():
+    arm = arm_of("robot_arm_3dof")
+    with armctl.Robot(arm, armctl.links.PlantLink(arm, real_time=True)) as robot:
+        host = robot._host
+        assert isinstance(host, RemoteHost)
+        connection = host._connection
+
+        class Interrupted:
+            """The connection, on which Ctrl-C comes before the answer."""
+
+            send = staticmethod(connection.send)
+
+            def poll(self, seconds: float) -> bool:
+                raise KeyboardInterrupt
+
+        host._connection = Interrupted()
+        with pytest.raises(KeyboardInterrupt):
+            host.stop("enough")
+        host._connection = connection
+        assert host.poll().tick == -1
+        assert robot.move_j([0.2, 0.1, -1.1])
+
+
 def test_what_the_maker_raises_in_the_process_is_one_sentence():
     arm = arm_of("robot_arm_3dof")
     link = armctl.links.PlantLink(arm, real_time=True, record="/proc/no-such-folder/rows")
