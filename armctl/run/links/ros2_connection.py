@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from array import array
@@ -19,6 +20,7 @@ from armctl.run.links.ros2_node import RosNode, import_ros, stamp
 
 _QUEUE = 10  # messages
 _DISCOVERY_S = 5.0  # until nodes on one computer or network know each other
+_numbers = itertools.count(1)  # of the nodes of this process: another commander in it has another name
 _SILENCE_S = 0.5  # without a state, after which the link counts as lost
 _CLOCK_GAP_S = 0.1  # between the stamps of the states and this computer's clock
 _CLOCK_STATES = 5  # of which the one with the smallest gap counts: a busy computer reads some late
@@ -42,7 +44,7 @@ class Ros2Connection:
     def __init__(self, names: RosNames, v_max: Array):
         """Makes a node, which knows nothing yet; `v_max` are the greatest speeds of the joints, (n,) rad/s."""
         self.names = names
-        self.node = RosNode(f"armctl_{os.getpid()}", use_sim_time=names.use_sim_time)
+        self.node = RosNode(f"armctl_{os.getpid()}_{next(_numbers)}", use_sim_time=names.use_sim_time)
         self.states = JointStates(names.joints, v_max)
         qos = import_ros("rclpy.qos")
         states = import_ros("sensor_msgs.msg").JointState
