@@ -24,6 +24,7 @@ _OTHER_NAMES = {
 # Names that armctl had: what to write instead.
 _FORMER_NAMES = {
     "load_arms": "armctl.load(robot, tips=[...]), which returns one arm with several tips",
+    "Scene": "armctl.World().add(name, armctl.Box(size), at), which load(scene=...) takes, as it does a file",
     "Team": "armctl.Simulation(arm) with an arm of several tips, which takes targets by tip",
 }
 

@@ -121,7 +121,6 @@ from .model.collision.world_snapshot import WorldSnapshot as WorldSnapshot
 from .model.loading.chain import SerialChain as SerialChain
 from .model.loading.load import chains as chains
 from .model.loading.load import load as load
-from .model.loading.scene import Scene as Scene
 from .plan.ik.all_solutions import solve_ik_all as solve_ik_all
 from .plan.ik.differential import DifferentialIk as DifferentialIk
 from .plan.ik.ik_result import IkBatch as IkBatch

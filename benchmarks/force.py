@@ -106,7 +106,7 @@ class Wall(NamedTuple):
 def at_wall(name: str, wall: str) -> Wall:
     """An arm whose hand is GAP_M from a plate, on that side of its tip where the hand leads the other links by the most."""
     tool = mujoco.MjSpec.from_string(PROBE) if name in WITH_PROBE or wall in SPRINGS else None
-    scene = armctl.Scene().add_box("wall", [0.1, 0.1, 0.1], at=[9, 9, 9])
+    scene = armctl.World().add("wall", armctl.Box([0.1, 0.1, 0.1]), at=[9, 9, 9])
     arm = armctl.load(FILES.get(name, name), tool=tool, scene=scene)
     if name in STARTS:
         arm = dataclasses.replace(arm, home=armctl.solve_ik(arm, STARTS[name]).q)

@@ -46,15 +46,15 @@ RESULTS = Path(__file__).parent / "results" / "gate.md"
 ERRORS = ("a body", "itself", "a body with a stick", "a limit", "NaN", "a jump", "a twist")
 
 
-def scene() -> armctl.Scene:
+def scene() -> armctl.World:
     """A wall, a ball and a post, and the ball that appears, far away."""
     return (
-        armctl.Scene()
-        .add_box("wall", [0.04, 0.8, 0.6], [0.7, 0.0, 0.3])
-        .add_ball("ball", 0.1, [0.1, 0.5, 0.5])
-        .add_cylinder("post", 0.05, 0.8, [-0.4, -0.35, 0.4])
-        .add_ball("sudden", BALL_M, FAR_AWAY)
-        .add_box("judged stick", STICK.size, [0.0, 5.0, 20.0], mass=0.1)
+        armctl.World()
+        .add("wall", armctl.Box([0.04, 0.8, 0.6]), [0.7, 0.0, 0.3])
+        .add("ball", armctl.Ball(0.1), [0.1, 0.5, 0.5])
+        .add("post", armctl.Cylinder(0.05, 0.8), [-0.4, -0.35, 0.4])
+        .add("sudden", armctl.Ball(BALL_M), FAR_AWAY)
+        .add("judged stick", armctl.Box(STICK.size), [0.0, 5.0, 20.0], mass=0.1)
     )
 
 

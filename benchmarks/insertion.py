@@ -93,13 +93,13 @@ class Insertion(NamedTuple):
         return self.depth > INSERTED_M and self.beside < 2 * GAP_M
 
 
-def hole(center: np.ndarray) -> armctl.Scene:
+def hole(center: np.ndarray) -> armctl.World:
     """A blind hole that opens upwards, of flat faces at a distance of RADIUS_M + GAP_M from its axis."""
-    scene = armctl.Scene().add_box("bottom", [0.06, 0.06, 0.02], center - [0.0, 0.0, DEPTH_M + 0.01])
+    scene = armctl.World().add("bottom", armctl.Box([0.06, 0.06, 0.02]), center - [0.0, 0.0, DEPTH_M + 0.01])
     for k, angle in enumerate(2 * np.pi * np.arange(SIDES) / SIDES):
         outward = np.array([np.cos(angle), np.sin(angle), 0.0])
         at = center + (RADIUS_M + GAP_M + 0.01) * outward - [0.0, 0.0, 0.5 * DEPTH_M]
-        scene.add_box(f"side {k}", [0.02, 0.06 * np.tan(np.pi / SIDES), DEPTH_M], armctl.Pose(at, rpy=[0.0, 0.0, angle]))
+        scene.add(f"side {k}", armctl.Box([0.02, 0.06 * np.tan(np.pi / SIDES), DEPTH_M]), armctl.Pose(at, rpy=[0.0, 0.0, angle]))
     return scene
 
 

@@ -315,16 +315,16 @@ def capsules_in_boxes(arm: armctl.Arm, data: mujoco.MjData, q: np.ndarray) -> bo
 def problems(file: Path, every: int) -> Iterator[Problem]:
     """The problems of a file. Their world has no floor."""
     for row in json.loads(file.read_text(encoding="utf-8"))[::every]:
-        scene = armctl.Scene()
+        scene = armctl.World()
         for thing in row["objects"]:
             pose = armctl.Pose.from_rotation(np.array(thing["position"]), np.array(thing["rotation"]))
             size = thing["dimensions"]
             if thing["type"] == "box":
-                scene.add_box(thing["name"], size, pose)
+                scene.add(thing["name"], armctl.Box(size), pose)
             elif thing["type"] == "cylinder":
-                scene.add_cylinder(thing["name"], size[1], size[0], pose)
+                scene.add(thing["name"], armctl.Cylinder(size[1], size[0]), pose)
             else:
-                scene.add_ball(thing["name"], size[0], pose)
+                scene.add(thing["name"], armctl.Ball(size[0]), pose)
         arm = armctl.load("panda", scene=scene)
         planes = arm.model.geom_type == PLANE
         arm.model.geom_contype[planes] = 0
@@ -368,30 +368,30 @@ def tip_is_above(arm: armctl.Arm, q: np.ndarray) -> bool:
     return bool(arm.fk(q).position[2] > 0.3)
 
 
-def _table(r: float) -> armctl.Scene:
-    scene = armctl.Scene().add_box("table", [0.6 * r, 1.0 * r, 0.04], [0.55 * r, 0, 0.15 * r])
-    scene.add_box("crate", [0.15 * r, 0.2 * r, 0.2 * r], [0.5 * r, 0.15 * r, 0.27 * r])
-    scene.add_cylinder("can", 0.04 * r, 0.2 * r, [0.45 * r, -0.25 * r, 0.27 * r])
-    return scene.add_box("monitor", [0.05 * r, 0.4 * r, 0.35 * r], [0.7 * r, -0.1 * r, 0.345 * r])
+def _table(r: float) -> armctl.World:
+    scene = armctl.World().add("table", armctl.Box([0.6 * r, 1.0 * r, 0.04]), [0.55 * r, 0, 0.15 * r])
+    scene.add("crate", armctl.Box([0.15 * r, 0.2 * r, 0.2 * r]), [0.5 * r, 0.15 * r, 0.27 * r])
+    scene.add("can", armctl.Cylinder(0.04 * r, 0.2 * r), [0.45 * r, -0.25 * r, 0.27 * r])
+    return scene.add("monitor", armctl.Box([0.05 * r, 0.4 * r, 0.35 * r]), [0.7 * r, -0.1 * r, 0.345 * r])
 
 
-def _shelf(r: float) -> armctl.Scene:
-    scene = armctl.Scene()
+def _shelf(r: float) -> armctl.World:
+    scene = armctl.World()
     for level, z in enumerate((0.15, 0.45, 0.75)):
-        scene.add_box(f"board{level}", [0.3 * r, 0.8 * r, 0.03], [0.8 * r, 0, z * r])
-    scene.add_box("back", [0.03, 0.8 * r, 0.9 * r], [0.97 * r, 0, 0.45 * r])
-    scene.add_box("left", [0.3 * r, 0.03, 0.9 * r], [0.8 * r, 0.42 * r, 0.45 * r])
-    scene.add_box("right", [0.3 * r, 0.03, 0.9 * r], [0.8 * r, -0.42 * r, 0.45 * r])
-    return scene.add_cylinder("post", 0.03 * r, 1.0 * r, [0.0, 0.5 * r, 0.5 * r])
+        scene.add(f"board{level}", armctl.Box([0.3 * r, 0.8 * r, 0.03]), [0.8 * r, 0, z * r])
+    scene.add("back", armctl.Box([0.03, 0.8 * r, 0.9 * r]), [0.97 * r, 0, 0.45 * r])
+    scene.add("left", armctl.Box([0.3 * r, 0.03, 0.9 * r]), [0.8 * r, 0.42 * r, 0.45 * r])
+    scene.add("right", armctl.Box([0.3 * r, 0.03, 0.9 * r]), [0.8 * r, -0.42 * r, 0.45 * r])
+    return scene.add("post", armctl.Cylinder(0.03 * r, 1.0 * r), [0.0, 0.5 * r, 0.5 * r])
 
 
-def _box(r: float) -> armctl.Scene:
-    scene = armctl.Scene().add_box("bottom", [0.5 * r, 0.5 * r, 0.03], [0.55 * r, 0, 0.05 * r])
+def _box(r: float) -> armctl.World:
+    scene = armctl.World().add("bottom", armctl.Box([0.5 * r, 0.5 * r, 0.03]), [0.55 * r, 0, 0.05 * r])
     for side, (dx, dy, a, b) in enumerate(
         ((0.25, 0, 0.03, 0.5), (-0.25, 0, 0.03, 0.5), (0, 0.25, 0.5, 0.03), (0, -0.25, 0.5, 0.03))
     ):
-        scene.add_box(f"wall{side}", [a * r, b * r, 0.35 * r], [(0.55 + dx) * r, dy * r, 0.22 * r])
-    return scene.add_box("beam", [0.06 * r, 0.8 * r, 0.06 * r], [0.38 * r, 0, 0.95 * r])
+        scene.add(f"wall{side}", armctl.Box([a * r, b * r, 0.35 * r]), [(0.55 + dx) * r, dy * r, 0.22 * r])
+    return scene.add("beam", armctl.Box([0.06 * r, 0.8 * r, 0.06 * r]), [0.38 * r, 0, 0.95 * r])
 
 
 SCENES = {"table": _table, "shelf": _shelf, "box": _box}

@@ -48,10 +48,10 @@ def main() -> None:
     print(text)
 
 
-def scene(x: float, height: float) -> armctl.Scene:
+def scene(x: float, height: float) -> armctl.World:
     """A box on a table."""
-    table = armctl.Scene().add_box("table", [0.6, 0.8, 0.02], [x, 0.0, height - 0.01])
-    return table.add_box("box", SIZE, [x, 0.0, height + 0.5 * SIZE[2] + 1e-4], mass=0.2)
+    table = armctl.World().add("table", armctl.Box([0.6, 0.8, 0.02]), [x, 0.0, height - 0.01])
+    return table.add("box", armctl.Box(SIZE), [x, 0.0, height + 0.5 * SIZE[2] + 1e-4], mass=0.2)
 
 
 def row(arm: armctl.Arm, x: float, height: float, seeds: int) -> list[str]:

@@ -209,7 +209,7 @@ def before_a_wall(robot: str) -> list[str]:
     turn = np.zeros(arm.n)
     turn[0] = 1.2
     center = arm.fk(arm.home + 2 / 3 * turn).position
-    arm = armctl.load(robot, scene=armctl.Scene().add_box("wall", [0.05, 0.05, 0.6], center))
+    arm = armctl.load(robot, scene=armctl.World().add("wall", armctl.Box([0.05, 0.05, 0.6]), center))
     stream = armctl.Stream(arm, arm.home, avoid=True)
     data = mujoco.MjData(arm.model)
     times = []

@@ -285,7 +285,7 @@ def move_through(clock: Clock, calls: int) -> Callable[[], None]:
 
 def move_free(clock: Clock, calls: int) -> Callable[[], None]:
     """From one side of a wall to the other, between random configurations."""
-    scene = armctl.Scene().add_box("wall", [0.5, 0.04, 0.7], [0.6, 0.0, 0.35])
+    scene = armctl.World().add("wall", armctl.Box([0.5, 0.04, 0.7]), [0.6, 0.0, 0.35])
     arm = armctl.load("panda", scene=scene)
     wall = arm.model.body("wall").id
     judge = Judge(arm)

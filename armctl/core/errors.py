@@ -88,7 +88,9 @@ class UnknownNameError(ArmctlError, LookupError):
             k for k in known if name and name.lower() in k.lower()
         ]
         other = _OTHER_NAMES.get(name.lower())
-        if other in known:
+        if not known:
+            hint = "there is none here"
+        elif other in known:
             hint = f"the closest one is {other!r}"
         elif near:
             hint = f"did you mean {near[0]!r}?"

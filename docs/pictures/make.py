@@ -80,9 +80,9 @@ CURSOR = """() => {
 
 def shelf() -> None:
     """A Panda reaches into a shelf and from one compartment into the other, around the boards."""
-    scene = armctl.Scene()
+    scene = armctl.World()
     for name, height in (("lower", 0.25), ("middle", 0.6), ("upper", 0.95)):
-        scene.add_box(name, [0.3, 0.8, 0.02], [0.85, 0.0, height])
+        scene.add(name, armctl.Box([0.3, 0.8, 0.02]), [0.85, 0.0, height])
     sim = armctl.Simulation(armctl.load("panda", scene=scene))
     forwards = np.column_stack([[0, 0, -1], [0, 1, 0], [1, 0, 0]])
     moves = []
@@ -220,8 +220,8 @@ def browser(arm: armctl.Arm, width: int, height: int) -> Iterator[Browser]:
 
 def page() -> None:
     """`armctl view panda` in a browser, with a wall: the arm is on its planned path to the dropped target."""
-    scene = armctl.Scene()
-    scene.add_box("wall", [0.3, 0.04, 0.5], [0.5, 0.2, 0.25])
+    scene = armctl.World()
+    scene.add("wall", armctl.Box([0.3, 0.04, 0.5]), [0.5, 0.2, 0.25])
     with browser(armctl.load("panda", scene=scene), 1280, 800) as (page, tab):
         session = page.session
         downwards = session.status.target.quat
@@ -243,8 +243,8 @@ def page() -> None:
 
 def drag() -> None:
     """The page of `armctl view panda`: a mouse drags the target behind a box, drops it, and the arm goes around the box."""
-    scene = armctl.Scene()
-    scene.add_box("box", [0.35, 0.06, 0.4], [0.5, 0.15, 0.2])
+    scene = armctl.World()
+    scene.add("box", armctl.Box([0.35, 0.06, 0.4]), [0.5, 0.15, 0.2])
     frames = []
     with browser(armctl.load("panda", scene=scene), *DRAG_PAGE_PX) as (page, tab):
         session = page.session

@@ -319,7 +319,7 @@ def test_an_arm_that_does_not_fit_is_refused_in_one_sentence():
         ({"robot": ROBOT, "task": "Push"}, "points down over a table"),
         ({"robot": armctl.load(ROBOT), "task": "ReachPast"}, "loaded already"),
         ({"robot": armctl.load(ROBOT), "load_options": {"tip": "link2"}}, "loaded already"),
-        ({"robot": ROBOT, "load_options": {"scene": armctl.Scene()}}, "belongs to the task"),
+        ({"robot": ROBOT, "load_options": {"scene": armctl.World()}}, "belongs to the task"),
         ({"robot": ROBOT, "task": "ReachPast", "contacts": False}, "contacts"),
         ({"robot": ROBOT, "randomize": {"object_mass": armctl.Range(1, 2)}}, "object_mass cannot vary"),
     ):

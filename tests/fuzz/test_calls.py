@@ -159,7 +159,7 @@ def world() -> dict[str, object]:
         "Push": armctl.Push(0.0, 0.1),
         "Range": armctl.Range(0.1, 1.0),
         "Report": armctl.Report.from_log(log),
-        "Scene": armctl.Scene().add_ball("ball", 0.02, [0.5, 0.5, 0.1]),
+        "Scene": armctl.World().add("ball", armctl.Ball(0.02), [0.5, 0.5, 0.1]),
         "Setpoint": setpoint,
         "Simulation": sim,
         "Robot": armctl.Robot(arm, armctl.links.PlantLink(arm)),

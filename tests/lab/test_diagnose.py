@@ -45,7 +45,7 @@ FAULTS = {
     "too strong": (
         ROBOT.replace('effort="40"', 'effort="40000"'),
         "kg at the tip of an arm of 3 kg: they are too strong",
-        "from the data sheet",
+        "take effort or forcerange from the data sheet",
     ),
     "units": (
         ROBOT.replace('<mass value="1"/>', '<mass value="1e-5"/>', 1),

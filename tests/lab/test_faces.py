@@ -49,10 +49,10 @@ def test_a_plant_shows_what_differs():
 
 
 def test_simulations_scenes_and_streams_show_themselves_in_one_line(arm):
-    scene = armctl.Scene().add_box("table", [1, 1, 0.1], [2, 0, 0])
-    assert repr(scene) == "Scene(table)"
+    scene = armctl.World().add("table", armctl.Box([1, 1, 0.1]), [2, 0, 0])
+    assert repr(scene) == "World(table)"
     for i in range(10):
-        scene.add_ball(f"ball{i}", 0.1, [3, 0, i])
+        scene.add(f"ball{i}", armctl.Ball(0.1), [3, 0, i])
     assert repr(scene).endswith("ball4 and 5 more)")
     sim = armctl.Simulation(arm, "pd", armctl.Plant(delay=1))
     assert repr(sim) == "Simulation('robot_arm_3dof', 'pd', plant: delay 1, t = 0 s)"

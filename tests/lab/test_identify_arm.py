@@ -438,7 +438,7 @@ def test_an_excitation_starts_elsewhere_if_home_is_too_close_to_something(bundle
     shapes = [
         geom for geom in range(bundled.model.ngeom) if bundled.model.geom_bodyid[geom] and bundled.model.geom_contype[geom]
     ]
-    scene = armctl.Scene().add_ball("ball", 0.02, at=tip + np.array([0.0, 0.0, 0.2]))
+    scene = armctl.World().add("ball", armctl.Ball(0.02), at=tip + np.array([0.0, 0.0, 0.2]))
     arm = armctl.load("robot_arm_3dof", scene=scene)
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.home_qpos
@@ -461,9 +461,9 @@ def test_an_excitation_starts_elsewhere_if_home_is_too_close_to_something(bundle
 @pytest.mark.nightly
 def test_a_long_excitation_is_found_among_obstacles():
     """Balls around the arm: of random straight ways a part is free, of thirty in a row none."""
-    scene = armctl.Scene()
+    scene = armctl.World()
     for i, angle in enumerate(np.linspace(0.0, 2 * np.pi, 6, endpoint=False) + 0.5):
-        scene = scene.add_ball(f"ball{i}", 0.05, at=[0.45 * np.cos(angle), 0.45 * np.sin(angle), 0.5])
+        scene = scene.add(f"ball{i}", armctl.Ball(0.05), at=[0.45 * np.cos(angle), 0.45 * np.sin(angle), 0.5])
     arm = armctl.load("robot_arm_3dof", scene=scene)
     motion = armctl.excitation(arm, duration=20.0, for_="arm", start=arm.home)
     assert motion.duration == pytest.approx(20.0)

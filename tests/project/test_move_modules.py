@@ -7,7 +7,7 @@ from types import FrameType
 import armctl
 
 PACKAGE = Path(armctl.__file__).parent
-MOST_MODULES = 51
+MOST_MODULES = 48
 
 
 def entered_modules(sim: armctl.Simulation, target: list[float]) -> set[str]:

@@ -50,7 +50,7 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: armctl.move_free(arm(), arm().home, arm().home, allow=np.array(1.0)),
         "allow: expected pairs of names, got array",
     ),
-    "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: expected str, got 3"),  # type: ignore
+    "a number for a name": (lambda: armctl.World().add(3, armctl.Box([1, 1, 1]), [0, 0, 0]), "name: expected str, got 3"),  # type: ignore
     "complex joints": (lambda: arm().fk(arm().home + 1j), "q: array.* is not an array of numbers"),
     "a huge integer": (lambda: arm().fk([0, 0, 10**400]), "q: .* is not an array of numbers"),
     "an arm's name to a controller": (

@@ -22,7 +22,9 @@ draws = pytest.mark.skipif(not _can_draw(), reason=f"no OpenGL without a screen:
 
 @pytest.fixture(scope="module")
 def sim() -> armctl.Simulation:
-    scene = armctl.Scene().add_box("box", [0.2, 0.1, 0.3], [0.5, 0.3, 0.15]).add_ball("ball", 0.1, [-0.4, 0.2, 0.4])
+    scene = (
+        armctl.World().add("box", armctl.Box([0.2, 0.1, 0.3]), [0.5, 0.3, 0.15]).add("ball", armctl.Ball(0.1), [-0.4, 0.2, 0.4])
+    )
     return armctl.Simulation(armctl.load("robot_arm_3dof", scene=scene))
 
 

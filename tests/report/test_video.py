@@ -115,7 +115,7 @@ def test_the_trace_of_the_tip_is_in_the_picture(sim: Simulation):
 @pytest.mark.skipif(not at_hand("panda"), reason="panda: its model is not installed")
 def test_a_film_shows_what_the_gripper_carries(tmp_path: Path):
     start, down = np.array([0.5, 0.1, 0.02]), [np.pi, 0, 0]
-    arm = armctl.load("panda", scene=armctl.Scene().add_box("cube", [0.04] * 3, start, mass=0.05))
+    arm = armctl.load("panda", scene=armctl.World().add("cube", armctl.Box([0.04] * 3), start, mass=0.05))
     sim, cube = Simulation(arm), arm.model.joint("cube").qposadr[0]
     assert sim.gripper.open()
     assert sim.move_to(armctl.Pose(start, rpy=down))

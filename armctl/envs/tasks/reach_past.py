@@ -6,10 +6,12 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError
+from armctl.core.shapes import Ball
 from armctl.core.validation import Array
 from armctl.envs.tasks.task import ArmSource, Episode, Task, free_configurations
 from armctl.model.arm.arm import Arm
-from armctl.model.loading.scene import Scene
+from armctl.model.collision.world import World
+from armctl.model.loading.scene import SceneParts
 from armctl.model.mjmodel.queries import acts
 from armctl.plan.ik.problem import ik_chain
 
@@ -22,7 +24,7 @@ _CLEARANCE = 0.5  # radii, of start and goal to the ball
 _AWAY = 10.0  # reaches below the base: where the ball touches nothing
 
 
-class _SceneWithBall(Scene):
+class _SceneWithBall(SceneParts):
     """A scene whose ball can be moved without a change of the model."""
 
     def build(self, spec: mujoco.MjSpec) -> None:
@@ -46,7 +48,7 @@ class ReachPast(Task):
         """The task; InputError if the robot was loaded already, or hardly any start and goal have the ball between them."""
         reach = ik_chain(source.load()).reach
         radius = _RADIUS * reach
-        scene = _SceneWithBall().add_ball(self.obstacle, radius, [0.0, 0.0, -_AWAY * reach])
+        scene = _SceneWithBall(World().add(self.obstacle, Ball(radius), [0.0, 0.0, -_AWAY * reach]))
         self.arm = source.load_among(scene, self.name)
         q = free_configurations(self.arm, _CONFIGURATIONS, _SPREAD)
         tips = self.arm.fk_many(q)[0]

@@ -9,13 +9,15 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose, computed_pose, rotation_from_vector
+from armctl.core.shapes import Box, Cylinder
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
 from armctl.envs.tasks.task import ArmSource
 from armctl.envs.tasks.tool import Tool
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import collision_checker
-from armctl.model.loading.scene import Scene
+from armctl.model.collision.world import World
+from armctl.model.loading.scene import SceneParts
 from armctl.model.mjmodel.queries import placed
 from armctl.plan.ik.problem import ik_chain
 from armctl.plan.ik.solve import solve_ik
@@ -78,15 +80,15 @@ class LooseCylinder(NamedTuple):
     friction: float  # coefficient of friction, with everything
 
 
-class _SceneWithCylinder(Scene):
+class _SceneWithCylinder(SceneParts):
     """A scene with a table, and a cylinder called "object"."""
 
     def __init__(self, table: Tabletop, cylinder: LooseCylinder):
-        super().__init__()
         edge = 2.0 * (table.radius + 3.0 * cylinder.radius)
-        self.add_box("task_table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
+        top = Box([edge, edge, _THICKNESS])
         away = table.center + np.array([0.0, 0.0, 10.0 * edge])  # where it touches nothing; each episode places it
-        self.add_cylinder("object", cylinder.radius, cylinder.height, away, mass=cylinder.mass)
+        world = World().add("task_table", top, table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
+        super().__init__(world.add("object", Cylinder(cylinder.radius, cylinder.height), away, mass=cylinder.mass))
         self._friction = cylinder.friction
 
     def build(self, spec: mujoco.MjSpec) -> None:

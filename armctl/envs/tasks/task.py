@@ -18,7 +18,7 @@ from armctl.envs.tasks.tool import Grip
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import collision_checker
 from armctl.model.loading.load import load
-from armctl.model.loading.scene import Scene
+from armctl.model.loading.scene import SceneParts
 
 _DISTANCE_WEIGHT = 5.0  # 1/m
 _TOUCH_COST = 1.0
@@ -47,7 +47,7 @@ class ArmSource:
     def load(self) -> Arm:
         return self._robot if isinstance(self._robot, Arm) else load(self._robot, **self._options)
 
-    def load_among(self, scene: Scene, task: str) -> Arm:
+    def load_among(self, scene: SceneParts, task: str) -> Arm:
         """The arm among the objects of a task; InputError if it was loaded already."""
         if isinstance(self._robot, Arm):
             raise InputError(

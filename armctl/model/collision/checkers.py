@@ -56,7 +56,7 @@ def collision_checker(
     A pair in `allow` may name bodies of the world.
     """
     allow = read_pairs(allow)
-    snapshot = read_world(world)
+    snapshot = None if world is None else read_world(world)
     if snapshot is None:
         return _own_checker(arm, qpos, allow, held)
     if not isinstance(arm, Arm):

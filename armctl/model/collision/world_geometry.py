@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from armctl._core import CollisionAdditions, PointCloud, ShapeKind
-from armctl.core.errors import UnknownNameError
+from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.pose import Pose
-from armctl.core.shapes import Ball, Box, Cylinder, Mesh, Points, Shape
+from armctl.core.shapes import Mesh, Points, Shape
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.collision_geometry import (
@@ -26,10 +26,12 @@ from armctl.model.collision.collision_geometry import (
     primitive_shape,
     shape_arrays,
 )
-from armctl.model.collision.world_snapshot import WorldSnapshot, checked_tip, is_of_model
-from armctl.model.mjmodel.queries import is_below, object_id, placed
+from armctl.model.collision.world_snapshot import WorldBody, WorldSnapshot, checked_tip, is_of_model
+from armctl.model.mjmodel.queries import is_below, object_id, placed, robot_roots
+from armctl.model.mjmodel.shape_geoms import add_shape, geom_form
 
 _NO_SIZE = np.zeros(3)
+_SAME_PLACE = 1e-6  # m, rad: a body of the model that a world has, too, is at the same place
 _hulls: WeakKeyDictionary[Mesh, tuple[Array, Edges]] = WeakKeyDictionary()
 _clouds: WeakKeyDictionary[Points, PointCloud] = WeakKeyDictionary()
 
@@ -59,7 +61,8 @@ def add_world(arm: Arm, geometry: Geometry, qpos: Array, snapshot: WorldSnapshot
     """An arm's geometry with a world around the arm.
 
     `qpos` (nq,) is the reference configuration of the geometry. A body that stands may meet what moves; an attached one
-    everything that it moves against. A body that the model has itself is where the model has it.
+    everything that it moves against. A body that the model has at the same place, as one that was loaded with the world, is the
+    model's; InputError for another one of the name.
     """
     bodies = _placed_bodies(arm, geometry, qpos, snapshot)
     solid = [body for body in bodies if not isinstance(body.shape, Points)]
@@ -102,7 +105,10 @@ def _placed_bodies(arm: Arm, geometry: Geometry, qpos: Array, snapshot: WorldSna
     tips: dict[str, tuple[int, Pose]] = {}
     placed_bodies = []
     for body in snapshot.bodies.values():
-        if body.shape is None or is_of_model(arm, body.name):
+        if body.shape is None:
+            continue
+        if is_of_model(arm, body.name):
+            _require_same(arm, qpos, body)
             continue
         frame = 0
         pose = body.pose
@@ -113,6 +119,19 @@ def _placed_bodies(arm: Arm, geometry: Geometry, qpos: Array, snapshot: WorldSna
             pose = T_world_tip @ body.pose
         placed_bodies.append(PlacedBody(body.name, body.shape, Place(frame, pose.position, pose.rotation)))
     return placed_bodies
+
+
+def _require_same(arm: Arm, qpos: Array, body: WorldBody) -> None:
+    """InputError for a body of a world that has the name of another body of the model, which is not added twice."""
+    number = object_id(arm.model, mujoco.mjtObj.mjOBJ_BODY, body.name)
+    if any(is_below(arm.model, number, root) for root in robot_roots(arm.model, arm.joint_map.joints)):
+        raise InputError(f"world: {body.name:.60} is the name of a part of the robot; give the body another name")
+    data = placed(arm.model, qpos)
+    distance, angle = Pose(data.xpos[number], data.xquat[number]).distance(body.pose)
+    if body.tip is not None or max(distance, angle) > _SAME_PLACE:
+        raise InputError(
+            f"world: the model has a body {body.name:.60} already, and elsewhere; give the body of the world another name"
+        )
 
 
 def _tip_poses(arm: Arm, geometry: Geometry, qpos: Array) -> dict[str, tuple[int, Pose]]:
@@ -176,24 +195,18 @@ def _are_allowed(pairs: IntArray, allowed: Sequence[tuple[IntArray, IntArray]]) 
 
 def _solid_shape(shape: Shape, place: Place) -> GeomShape:
     """A shape, other than points, at a place."""
-    if isinstance(shape, Box):
-        return primitive_shape(place, int(mujoco.mjtGeom.mjGEOM_BOX), 0.5 * shape.size)
-    if isinstance(shape, Ball):
-        return primitive_shape(place, int(mujoco.mjtGeom.mjGEOM_SPHERE), np.array([shape.radius, 0.0, 0.0]))
-    if isinstance(shape, Cylinder):
-        size = np.array([shape.radius, 0.5 * shape.length, 0.0])
-        return primitive_shape(place, int(mujoco.mjtGeom.mjGEOM_CYLINDER), size)
-    assert isinstance(shape, Mesh)
+    form = geom_form(shape)
+    if not isinstance(shape, Mesh):
+        return primitive_shape(place, int(form.kind), form.size)
     if shape not in _hulls:
         _hulls[shape] = _hull_of(shape)
-    return hull_shape(place, _NO_SIZE, *_hulls[shape])
+    return hull_shape(place, form.size, *_hulls[shape])
 
 
 def _hull_of(mesh: Mesh) -> tuple[Array, Edges]:
     """The vertices of the convex hull of a mesh in its own frame, and its edges, by MuJoCo."""
     spec = mujoco.MjSpec()
-    spec.add_mesh(name="mesh", uservert=mesh.vertices.ravel())
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+    add_shape(spec, spec.worldbody, "mesh", mesh)
     model = spec.compile()
     vertices, edges = mesh_hull(model, 0)
     rotation = np.empty(9)

@@ -10,15 +10,14 @@ from typing import Protocol, TypeAlias, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import mujoco
-import numpy as np
 
 from armctl.core.errors import InputError, UnknownNameError, shown
 from armctl.core.pose import Pose
-from armctl.core.shapes import Ball, Box, Cylinder, Shape
-from armctl.core.validation import Array
+from armctl.core.shapes import Shape
 from armctl.model.arm.arm import Arm, with_model
 from armctl.model.mjmodel.edit import add_payload
 from armctl.model.mjmodel.queries import object_id
+from armctl.model.mjmodel.shape_geoms import mass_distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,25 +125,14 @@ class WorldSnapshot:
 def _with_payload(model: mujoco.MjModel, tip_body: int, T_body_tip: Pose, body: WorldBody) -> mujoco.MjModel:
     """A copy of a model with a body at a tip."""
     model = copy.copy(model)
-    mass = body.mass or 0.0
+    assert body.shape is not None
+    assert body.mass is not None
+    solid = mass_distribution(body.shape, body.mass)
     R = body.pose.rotation
-    inertia = R @ np.diag(mass * squared_gyration(body.shape)) @ R.T
-    add_payload(model, tip_body, T_body_tip, mass, body.pose.position, inertia)
+    center = R @ solid.center + body.pose.position
+    add_payload(model, tip_body, T_body_tip, body.mass, center, R @ solid.inertia @ R.T)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
-
-
-def squared_gyration(shape: Shape | None) -> Array:
-    """(3,) m^2, the moments of inertia of a body of uniform density about its axes, by its mass; zero for meshes."""
-    if isinstance(shape, Box):
-        square = shape.size**2 / 12.0
-        return square.sum() - square
-    if isinstance(shape, Ball):
-        return np.full(3, 0.4 * shape.radius**2)
-    if isinstance(shape, Cylinder):
-        across = (3.0 * shape.radius**2 + shape.length**2) / 12.0
-        return np.array([across, across, 0.5 * shape.radius**2])
-    return np.zeros(3)
 
 
 @runtime_checkable

@@ -22,7 +22,6 @@ from armctl.core.pose import Pose
 from armctl.core.validation import instance, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.arm.parity import check_parity
-from armctl.model.collision.world_snapshot import HasSnapshot, WorldLike, WorldSnapshot
 from armctl.model.loading.added_shapes import CAPSULES, VISUAL, add_shapes, read_shapes, visual_links
 from armctl.model.loading.arm_plan import ArmEnds, describe_arm, find_ends
 from armctl.model.loading.base import BASE_JOINTS, add_base_joints, hold_free_bases, may_float
@@ -41,7 +40,7 @@ from armctl.model.loading.model_checks import (
     open_loop_notes,
 )
 from armctl.model.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
-from armctl.model.loading.scene import Scene
+from armctl.model.loading.scene import SceneLike, SceneParts, read_scene
 from armctl.model.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
 from armctl.model.loading.tip import tip_on
 from armctl.model.loading.undriven import add_missing_motors
@@ -83,15 +82,6 @@ class _RobotSpec:
         return groups[name]
 
 
-def _scene_of(scene: Scene | WorldLike | str | os.PathLike[str]) -> Scene:
-    """The objects around a robot, as `load` takes them."""
-    if isinstance(scene, Scene):
-        return scene
-    if isinstance(scene, (HasSnapshot, WorldSnapshot)):
-        return Scene.of_world(scene)
-    return Scene(scene)
-
-
 @dataclass(frozen=True, eq=False)
 class _LoadRecipe:
     """The arguments of `load`, from which its model is made."""
@@ -100,7 +90,7 @@ class _LoadRecipe:
     ends: ArmEnds  # where the arm begins and ends
     moving_base: str | None  # "planar" or "free"; None for one that is held
     tool: str | os.PathLike[str] | mujoco.MjSpec | None  # as for `load`
-    scene: Scene | WorldLike | str | os.PathLike[str] | None  # as for `load`
+    scene: SceneParts | None  # what is around it
     srdf: str | os.PathLike[str] | None  # as for `load`
     shapes: str | None = None  # as for `load`
     is_complete: bool = True  # false in another process for the arm of a specification, which does not go along
@@ -133,7 +123,7 @@ class _LoadRecipe:
             unread |= mounted.unread
             notes += mounted.notes
         if self.scene is not None:
-            _scene_of(self.scene).build(spec)
+            self.scene.build(spec)
         original = source.compile_without_textures(spec)
         with _naming(source.name):
             check_timestep(original)
@@ -169,7 +159,7 @@ def load(
     tip_offset: Pose | None = None,
     base: str | None = None,
     tool: str | os.PathLike[str] | mujoco.MjSpec | None = None,
-    scene: Scene | WorldLike | str | os.PathLike[str] | None = None,
+    scene: SceneLike | None = None,
     srdf: str | os.PathLike[str] | None = None,
     shapes: str | None = None,
 ) -> Arm:
@@ -194,7 +184,7 @@ def load(
             gives the robot's base joints of its own along x, along y and about z, "free" along and about all axes (yaw, pitch,
             roll), all at zero where the keyframe puts it. A free base has no motors in a simulation.
         tool: The gripper or hand to mount at the tip: by name, MJCF file or MjSpec. The tip is then the tool's.
-        scene: The objects around the robot: a World, a Scene, or the path of an MJCF file that holds one.
+        scene: The objects around the robot: a World, as it is now, the path of an MJCF file, or a list of them.
         srdf: The path of an SRDF, with allowed contacts, the home configuration, and groups for `tip`. Left out,
             armctl uses the one beside a URDF; without any, links of a URDF that touch at home may touch.
         shapes: What stands for the collision shape of links that need one and have none: "capsules" along them, or "visual",
@@ -259,7 +249,7 @@ def _loaded(
     *,
     moving_base: str | None,
     tool: str | os.PathLike[str] | mujoco.MjSpec | None,
-    scene: Scene | WorldLike | str | os.PathLike[str] | None,
+    scene: SceneLike | None,
     srdf: str | os.PathLike[str] | None,
     shapes: str | None,
 ) -> Arm:
@@ -284,7 +274,8 @@ def _loaded(
         prepared = _with_shape_notes(prepared, model, plan.joints, unchecked)
         return _checked_arm(source.name, prepared, [*corrections, *model_notes(model)], None)
     kept = locate(robot).copied_spec() if isinstance(robot, mujoco.MjSpec) else robot
-    recipe = _LoadRecipe(kept, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
+    parts = None if scene is None else read_scene(scene)
+    recipe = _LoadRecipe(kept, ends, moving_base=moving_base, tool=tool, scene=parts, srdf=srdf, shapes=shapes)
     return _checked_arm(*recipe.prepared(), recipe)
 
 

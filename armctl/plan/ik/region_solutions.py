@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,6 @@ from armctl.core.errors import InputError
 from armctl.core.target import RegionMember
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.model.arm.arm import Arm
-from armctl.model.collision.checkers import checkable
 from armctl.plan.ik.ik_result import IkResult, failure_reason, no_solution_without_contact
 from armctl.plan.ik.lm import TOLERANCE_SHARE
 from armctl.plan.ik.problem import IkChain, ik_chain, read_seed, read_starts, read_tolerance
@@ -55,13 +55,13 @@ class RegionSearch:
         begin = np.concatenate([first, drawn])
         part = np.repeat(np.arange(parts), len(begin))
         met = np.tile(begin, (parts, 1))
-        solved, steps = self._run("search_regions", part, met)
+        solved, steps = self._run(self._chain.core.search_regions, part, met)
         distance = np.where(solved, self._distances(met), np.inf)
         nearest = np.argsort(distance.reshape(parts, -1), axis=1, kind="stable")[:, :_SLIDES]
         chosen = (nearest + len(begin) * np.arange(parts)[:, None]).ravel()
         chosen = chosen[solved[chosen]]
         slid = met[chosen]
-        slid_solved, more_steps = self._run("slide_in_regions", part[chosen], slid)
+        slid_solved, more_steps = self._run(self._chain.core.slide_in_regions, part[chosen], slid)
         return self._sorted(
             RegionSolutions(
                 q=np.concatenate([slid, met]),
@@ -72,14 +72,14 @@ class RegionSearch:
             )
         )
 
-    def _run(self, function: str, part: IntArray, q: Array) -> tuple[BoolArray, IntArray]:
+    def _run(self, search: Callable[..., Any], part: IntArray, q: Array) -> tuple[BoolArray, IntArray]:
         """Moves configurations (K, n) by a search of the core; whether each is a solution, and the steps."""
         chain = self._chain
         units = np.ascontiguousarray(chain.to_units(q))
         solved = np.empty(len(q), np.int64)
         steps = np.empty(len(q), np.int64)
         near = np.ascontiguousarray(chain.to_units(self._q0))
-        getattr(chain.core, function)(self._regions, part, *self._tolerances, near, units, solved, steps)
+        search(self._regions, part, *self._tolerances, near, units, solved, steps)
         q[:] = chain.from_units(units)
         return solved == 1, steps
 
@@ -107,10 +107,13 @@ def solve_region(
     position_tolerance: float,
     orientation_tolerance: float,
     free_axis: str | None,
-    avoid: bool,
+    contact_at: Callable[[Array], str] | None,
     seed: int,
 ) -> IkResult:
-    """The configuration of a region that is nearest to q0, as `solve_ik`."""
+    """The configuration of a region that is nearest to q0, as `solve_ik`.
+
+    `contact_at` says what touches at one, where that counts.
+    """
     if free_axis is not None:
         raise InputError("free_axis: a region has its own; armctl.Region(pose, free='z')")
     tolerances = (
@@ -119,7 +122,6 @@ def solve_region(
     )
     start = read_starts(arm, q0, 1)[0]
     search = RegionSearch(arm, region, start, tolerances, read_seed(seed))
-    contact_at = checkable(arm).at if avoid else None
     starts = 0
     steps = 0
     in_contact: IkResult | None = None

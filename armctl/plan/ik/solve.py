@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl._core import Constraint
+from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
 from armctl.core.tip_targets import TipTargets
@@ -88,6 +89,9 @@ def solve_ik(
     if isinstance(target, Region):
         from armctl.plan.ik.region_solutions import solve_region
 
+        flag("nearest", nearest)  # it is the nearest one in any case
+        if center_of_mass_within is not None:
+            raise InputError("center_of_mass_within: it is for targets by tip; give a pose of each tip, or leave it out")
         return solve_region(
             arm,
             target,
@@ -95,7 +99,7 @@ def solve_ik(
             position_tolerance=position_tolerance,
             orientation_tolerance=orientation_tolerance,
             free_axis=free_axis,
-            avoid=flag("avoid", avoid),
+            contact_at=avoided(arm, avoid, world),
             seed=seed,
         )
     # The checks of the usual types are inline: each as a function of its own would take 1 % of the call.

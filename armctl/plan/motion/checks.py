@@ -8,10 +8,12 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import vector
+from armctl.core.validation import number, vector
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.plan.motion.timing.otg import JointState, unavoidable_bounds
 from armctl.plan.motion.trajectory.limit_check import RATIO_TOLERANCE
+
+_MAX_DURATION_S = 1e5
 
 
 def planning_arm(arm: Arm, speed: float) -> Arm:
@@ -24,6 +26,11 @@ def planning_arm(arm: Arm, speed: float) -> Arm:
             raise InputError(f"{name}: {joint} has no limit, and without one there is no time-optimal motion; set a finite one")
     limits = arm.limits.at_speed(speed)
     return arm if limits is arm.limits else arm.with_limits(limits)
+
+
+def read_duration(duration: float | None) -> float | None:
+    """A caller's duration, s; None if there is none."""
+    return None if duration is None else number("duration", duration, 1e-6, _MAX_DURATION_S)
 
 
 def start_state(arm: Arm, q_start: ArrayLike | Setpoint) -> Setpoint:

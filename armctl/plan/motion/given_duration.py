@@ -7,18 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from armctl.core.errors import PlanError
-from armctl.core.validation import number
 from armctl.model.arm.arm import Arm
 from armctl.plan.motion.torque_limits import check_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 
 SAME_DURATION = 1e-9  # relative
-_MAX_DURATION_S = 1e5
-
-
-def read_duration(duration: float | None) -> float | None:
-    """A caller's duration, s; None if there is none."""
-    return None if duration is None else number("duration", duration, 1e-6, _MAX_DURATION_S)
 
 
 def lasting(arm: Arm, motion: JointTrajectory, duration: float | None) -> JointTrajectory:

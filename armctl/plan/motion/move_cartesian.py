@@ -20,8 +20,8 @@ from armctl.core.validation import Array, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.ik.all_solutions import solve_ik_all
 from armctl.plan.ik.region import Region
-from armctl.plan.motion.checks import planning_arm
-from armctl.plan.motion.given_duration import lasting, read_duration
+from armctl.plan.motion.checks import planning_arm, read_duration
+from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.moving_start import planned_from
 from armctl.plan.motion.path.joint_path import JointPath, joint_path_along
 from armctl.plan.motion.path.path_segments import MIN_LENGTH, Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn

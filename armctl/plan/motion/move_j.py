@@ -13,8 +13,8 @@ from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, choice, flag
 from armctl.model.arm.arm import Arm
-from armctl.plan.motion.checks import goal_state, is_moving, limits_from, planning_arm, start_state
-from armctl.plan.motion.given_duration import SAME_DURATION, lasting, read_duration, require_long_enough
+from armctl.plan.motion.checks import goal_state, is_moving, limits_from, planning_arm, read_duration, start_state
+from armctl.plan.motion.given_duration import SAME_DURATION, lasting, require_long_enough
 from armctl.plan.motion.moving_start import stop_from
 from armctl.plan.motion.timing.otg import LONGER, JointState, ProfileSolver, solve_pieces
 from armctl.plan.motion.timing.teaching_profiles import quintic, trapezoid
@@ -74,7 +74,8 @@ def move_j(
         return lasting(arm, move.of_textbooks(profile), seconds)
     if move.moves:
         return move.in_motion() if seconds is None else move.in_motion_lasting(seconds)
-    return lasting(arm, within_torque(arm, move.planned()), seconds)
+    motion = within_torque(arm, move.planned())
+    return motion if seconds is None else lasting(arm, motion, seconds)
 
 
 class _Move(NamedTuple):

@@ -12,7 +12,8 @@ import numpy as np
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, instance, number
 from armctl.model.arm.arm import Arm, check_arm
-from armctl.plan.motion.given_duration import lasting, read_duration
+from armctl.plan.motion.checks import read_duration
+from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.timing.path_timing import slowed_down
 from armctl.plan.motion.torque_limits import MotionPath, within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory

@@ -15,8 +15,8 @@ from armctl.core.limits import Limits
 from armctl.core.validation import Array, matrix, vector
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.moving_joints import MovingJoints
-from armctl.plan.motion.checks import planning_arm
-from armctl.plan.motion.given_duration import SAME_DURATION, lasting, read_duration
+from armctl.plan.motion.checks import planning_arm, read_duration
+from armctl.plan.motion.given_duration import SAME_DURATION, lasting
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.sections import Via, is_limited, pause, within_sections
 from armctl.plan.motion.timing.otg import slowed_to_bounds, straight_rest_to_rest

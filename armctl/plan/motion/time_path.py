@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import LimitError
 from armctl.core.limits import Limits
 from armctl.model.arm.arm import Arm
-from armctl.plan.motion.checks import planning_arm
-from armctl.plan.motion.given_duration import lasting, read_duration
+from armctl.plan.motion.checks import planning_arm, read_duration
+from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.path.given_path import GivenPath, SplineLike, read_path
 from armctl.plan.motion.timing.otg import slowed_to_bounds
 from armctl.plan.motion.timing.path_timing import time_optimal

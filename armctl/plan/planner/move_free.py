@@ -32,8 +32,8 @@ from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
 from armctl.model.collision.world_snapshot import WorldLike, WorldSnapshot, read_world
 from armctl.model.mjmodel.queries import object_id
 from armctl.plan.ik.resting_joints import Mask, resting_joints
-from armctl.plan.motion.checks import planning_arm, start_state
-from armctl.plan.motion.given_duration import lasting, read_duration
+from armctl.plan.motion.checks import planning_arm, read_duration, start_state
+from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.move_through import through_waypoints
 from armctl.plan.motion.moving_start import begun_moving, begun_moving_lasting, stop_from

@@ -106,7 +106,7 @@ class Admission:
         self._clearance = clearance if distance > clearance else 0.5 * max(distance, 0.0)
         # Why no motion from the state can be proved: it touches something already.
         self.blocked = rest_refusal(checker, start.q, 0.0) if distance <= 0.0 else None
-        self._planner = CommittedMotion(arm, checker, clearance=self._clearance)
+        self._planner = CommittedMotion(arm, checker, clearance=self._clearance, finds_first=True)
         self._state = JointState(start.q, start.v, start.a)
         self._moves = bool(np.any(start.v) or np.any(start.a))
 
@@ -125,12 +125,11 @@ class Admission:
         first: Pieces | None = None
         refused: Refusal | None = None
         for pace, pieces in self._ways(times, q):
-            now_refused = self._planner.refusal_of(pieces)
-            if now_refused is None:
+            if not self._planner.is_refused(pieces):
                 return self._answer(pieces, None, pace, q[-1])
             if first is None:
                 first = pieces
-                refused = now_refused
+                refused = self._planner.refusal_of(pieces)
                 if self._checker.hit(q[-1], self._clearance) >= 0:
                     break  # no pace helps
         if first is None or refused is None:
@@ -172,7 +171,10 @@ class Admission:
         for pace in _PACES[1:]:
             # Only the speed is less: an arm that brakes as hard as before turns sooner to the straight way.
             slower = CommittedMotion(
-                self._arm.with_limits(replace(limits, v_max=pace * limits.v_max)), self._checker, clearance=self._clearance
+                self._arm.with_limits(replace(limits, v_max=pace * limits.v_max)),
+                self._checker,
+                clearance=self._clearance,
+                finds_first=True,
             )
             pieces = slower.to_rest(self._state, goal)
             if pieces is not None:
@@ -200,7 +202,7 @@ class Admission:
                 shorter = move_j(self._arm, start, start + free * (goal - start)).pieces
             except PlanError:
                 break
-            if self._planner.refusal_of(shorter) is None:
+            if not self._planner.is_refused(shorter):
                 return self._answer(shorter, refused, 1.0, goal)
         return self._answer(None, refused, 1.0, goal)
 
@@ -265,7 +267,7 @@ class Admission:
             stop = stopped(pieces, limits, moment)
         except PlanError:
             return None
-        return stop if self._planner.refusal_of(stop) is None and self._keeps_limits(stop) else None
+        return None if self._planner.is_refused(stop) or not self._keeps_limits(stop) else stop
 
     def _keeps_limits(self, pieces: Pieces) -> bool:
         arm = self._arm
@@ -291,7 +293,7 @@ class Admission:
         """The answer: the motion, or if there is none a stop."""
         arm = self._arm
         proved = True
-        if pieces is None and self._running is not None and self._planner.refusal_of(self._running) is None:
+        if pieces is None and self._running is not None and not self._planner.is_refused(self._running):
             pieces = self._running
         elif pieces is None:
             pieces = self._planner.stop(self._state) if self._moves else standing(self.start.q)
@@ -319,4 +321,4 @@ class Admission:
     def _is_proved(self, pieces: Pieces) -> bool:
         if pieces.knots[-1] == 0.0:
             return rest_refusal(self._checker, self.start.q, 0.0) is None
-        return self._planner.refusal_of(pieces) is None
+        return not self._planner.is_refused(pieces)

@@ -15,7 +15,7 @@ from armctl.plan.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.plan.motion.torque_limits import InverseDynamics
 from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE, each_inside, is_inside
 from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, basis, hermite, joined, quintics, sample
-from armctl.plan.stream.refusal import Refusal, contact_refusal
+from armctl.plan.stream.refusal import Refusal, contact_refusal, quick_refusal
 from armctl.plan.stream.timed_targets import Knots
 
 # Paces of the wanted states that are tried where a motion through them is refused, before it is made shorter.
@@ -38,7 +38,10 @@ class CommittedMotion:
         checker: CollisionChecker | None = None,
         refusal: Callable[[Pieces], str] | None = None,
         clearance: float = LIVE_CLEARANCE_M,
+        *,
+        finds_first: bool = False,
     ):
+        """Motions of an arm; with `finds_first` a refusal has the first time of a contact, which takes longer."""
         self._limits = arm.limits
         limits = arm.limits
         self._solvers = [ProfileSolver(limits.v_max, s * limits.a_max, s**2 * limits.j_max) for s in _SLOWER]
@@ -49,6 +52,7 @@ class CommittedMotion:
         self._tau_max = (1 - _TORQUE_MARGIN) * limits.tau_max
         self.checker = checker  # proves motions free of contact; None if contacts are allowed
         self.clearance = clearance  # m, that is proved
+        self._contact_refusal = contact_refusal if finds_first else quick_refusal
         self.refusal = refusal  # why a motion, as polynomials from now on, may not be made; empty if it may. None if all may
         self.refused: Refusal | None = None  # why the last motion that was wanted was refused; None if it was not
 
@@ -188,9 +192,15 @@ class CommittedMotion:
         # A motor that cannot even hold its joint here must not keep the arm from moving to where it can.
         return bool((torques <= np.maximum(self._tau_max, torques[0])).all())
 
+    def is_refused(self, pieces: Pieces) -> bool:
+        """Whether a motion may not be made."""
+        if quick_refusal(self.checker, pieces, self.clearance) is not None:
+            return True
+        return self.refusal is not None and pieces.knots[-1] != 0.0 and bool(self.refusal(pieces))
+
     def refusal_of(self, pieces: Pieces) -> Refusal | None:
         """Why a motion may not be made; None if it may."""
-        refused = contact_refusal(self.checker, pieces, self.clearance)
+        refused = self._contact_refusal(self.checker, pieces, self.clearance)
         if refused is not None or self.refusal is None or pieces.knots[-1] == 0.0:
             return refused
         reason = self.refusal(pieces)
@@ -200,9 +210,11 @@ class CommittedMotion:
         """The motion through the wanted states at a slower pace, if it is not refused; None if it is."""
         if not len(knots.t) or not (np.any(start.v) or np.any(start.a)):
             return None  # from rest, the way is the same at any pace
+        if self.checker is not None and self.checker.hit(knots.rest, self.clearance) >= 0:
+            return None  # no pace helps
         for pace in _PACES:
             pieces = self._motion(solver, start, now, knots.slowed(pace, now))
-            if pieces is not None and self._is_feasible(pieces) and self.refusal_of(pieces) is None:
+            if pieces is not None and self._is_feasible(pieces) and not self.is_refused(pieces):
                 return pieces
         return None
 
@@ -215,7 +227,7 @@ class CommittedMotion:
             if moves and self.checker is not None and self.checker.hit(shorter.rest, self.clearance) >= 0:
                 continue
             pieces = self._motion(solver, start, now, shorter)
-            if pieces is not None and self.refusal_of(pieces) is None and self._is_feasible(pieces):
+            if pieces is not None and not self.is_refused(pieces) and self._is_feasible(pieces):
                 return pieces
         return None
 

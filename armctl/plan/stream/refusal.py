@@ -34,15 +34,26 @@ class Refusal(NamedTuple):
         return f"{self.what} at {self.time:.3f} s" if math.isfinite(self.time) else self.what
 
 
+def quick_refusal(checker: CollisionChecker | None, pieces: Pieces, clearance: float) -> Refusal | None:
+    """As `contact_refusal`, of any place where the motion comes too near, for what is planned many times a second."""
+    hit = _hit(checker, pieces, clearance)
+    return None if checker is None or hit is None else Refusal(checker.refusal(hit), time=hit.time)
+
+
+def _hit(checker: CollisionChecker | None, pieces: Pieces, clearance: float) -> Hit | None:
+    """Any place where a motion is not proved to keep more than a clearance, m; None if it is proved, or nothing has to be."""
+    if checker is None or pieces.knots[-1] == 0.0:
+        return None
+    return checker.motion_hit(pieces.knots, pieces.coefficients, clearance)
+
+
 def contact_refusal(checker: CollisionChecker | None, pieces: Pieces, clearance: float) -> Refusal | None:
     """Why a motion is not proved to keep more than a clearance, m, at all times; None if it is, or nothing has to be proved.
 
     This is the refusal of everything that is sent to motors: of gates, streams, robots, and of the page.
     """
-    if checker is None or pieces.knots[-1] == 0.0:
-        return None
-    hit = checker.motion_hit(pieces.knots, pieces.coefficients, clearance)
-    if hit is None:
+    hit = _hit(checker, pieces, clearance)
+    if checker is None or hit is None:
         return None
     hit = _first(checker, pieces, clearance, hit)
     if checker.opens(hit):

@@ -26,7 +26,7 @@ from armctl.model.collision.world import World
 from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.plan.ik.region import Region
 from armctl.plan.ik.tree_problem import read_tasks
-from armctl.plan.motion.given_duration import read_duration
+from armctl.plan.motion.checks import read_duration
 from armctl.plan.motion.move_cartesian import (
     PATH_DEFAULTS,
     Arc,
@@ -84,8 +84,6 @@ class Commands:
         arm: The model of the arm, whose limits hold for all motions.
         model: The MuJoCo model of the scene.
         data: Its MjData, for reading.
-        world: What is seen around the arm, besides its scene. All moves that avoid contact keep clear of it, in its state when
-            they are planned; the physics of a simulation does not contain it.
     """
 
     def __init__(self, controlled: ControlledArm):
@@ -94,8 +92,18 @@ class Commands:
         self.arm = controlled.arm
         self.model = controlled.drive.model
         self.data = controlled.drive.data
-        self.world: World = ArmWorld(self.arm, partial(controlled.drive.tip_pose, self.arm))
-        self._obstacles = Obstacles(self.arm, self.data, self.world)
+        self._obstacles = Obstacles(self.arm, self.data)
+
+    @property
+    def world(self) -> World:
+        """What is seen around the arm, besides its scene.
+
+        All moves that avoid contact keep clear of it, in its state when they are planned; the physics of a simulation does not
+        contain it.
+        """
+        if self._obstacles.world is None:
+            self._obstacles.world = ArmWorld(self.arm, partial(self._controlled.drive.tip_pose, self.arm))
+        return self._obstacles.world
 
     @property
     def log(self) -> Log | None:
@@ -233,7 +241,7 @@ class Commands:
         def plan() -> PlannedMove:
             if checker is not None:
                 return plan_free(self._loaded_arm, goal, self._start, configuration, speed, FreeSpace(checker))
-            return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, configuration, speed=speed))
+            return plan_move(self.arm, goal, lambda: move_j(self._loaded_arm, self._start, configuration, speed=speed))
 
         return self._move(goal, partial(plan_lasting, self.arm, plan, read_duration(duration)))
 
@@ -255,7 +263,7 @@ class Commands:
         check_one_tip(self.arm)
         goal = Target.read(target)
         end = goal.position if goal.pose is None else goal.pose
-        return self._move_along(goal, partial(move_l, self.arm, self._start, end), **options)
+        return self._move_along(goal, partial(move_l, self._loaded_arm, self._start, end), **options)
 
     @_shows_options
     def move_c(
@@ -276,7 +284,7 @@ class Commands:
         check_one_tip(self.arm)
         goal = Target.read(target)
         end = goal.position if goal.pose is None else goal.pose
-        planner = partial(move_c, self.arm, self._start, via, end, angle=angle)
+        planner = partial(move_c, self._loaded_arm, self._start, via, end, angle=angle)
         return self._move_along(goal, planner, ends_at_target=angle is None, **options)
 
     @_shows_options
@@ -307,12 +315,13 @@ class Commands:
         """
         check_one_tip(self.arm)
         if is_tool_path(path, normals, free, cone):
-            planner = partial(move_path, self.arm, self._start, path, normals=normals, free=free, cone=cone, blend=blend)
+            tool = {"normals": normals, "free": free, "cone": cone}
+            planner = partial(move_path, self._loaded_arm, self._start, path, blend=blend, **tool)
             return self._move_along(Target.read(self.tip), planner, ends_at_target=False, **options)
         parts = read_path(path)
         last = parts[-1]
         ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
-        planner = partial(move_path, self.arm, self._start, parts, blend=blend)
+        planner = partial(move_path, self._loaded_arm, self._start, parts, blend=blend)
         return self._move_along(Target.read(last.target), planner, ends_at_target=ends_at_target, **options)
 
     def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, duration: float = 10.0) -> Log:
@@ -431,7 +440,8 @@ class Commands:
     @property
     def _loaded_arm(self) -> Arm:
         """The arm with what the world attaches to its tips, as plans need it."""
-        return self.world.snapshot().loaded_arm(self.arm)
+        world = self._obstacles.world
+        return self.arm if world is None else world.snapshot().loaded_arm(self.arm)
 
     @property
     def _held(self) -> dict[str, int]:

@@ -25,9 +25,9 @@ _NOTHING: Mapping[str, int] = MappingProxyType({})
 class Obstacles:
     """Collision checkers of an arm among loose bodies, fingers and other arms, where a simulation has them now."""
 
-    def __init__(self, arm: Arm, data: mujoco.MjData, world: World | None = None):
+    def __init__(self, arm: Arm, data: mujoco.MjData):
+        self.world: World | None = None  # what is seen besides, once somebody asks for it
         self._arm = arm
-        self._world = world  # what is seen besides
         self._data = data
         self._is_own = np.zeros(arm.model.nq, bool)
         self._is_own[arm.joint_map.qpos_adr] = True
@@ -38,7 +38,7 @@ class Obstacles:
         """A checker of the scene up to displacements of half a millimeter. Building a new one takes tens of milliseconds."""
         outside = self._data.qpos[~self._is_own]
         recent = self._recent
-        snapshot = read_world(self._world)
+        snapshot = None if self.world is None else read_world(self.world)
         carried = self._carried(snapshot, held)
         if recent is None or recent.held != carried or np.abs(outside - recent.outside).max(initial=0.0) > _NOTICED_M:
             recent = _Recent(self._own_checker((), carried), outside, carried)
@@ -51,7 +51,7 @@ class Obstacles:
         A held body moves with a tip's body, whose number is its value in `held`, and may keep the contacts it has now, such as
         with the table it was picked from.
         """
-        snapshot = read_world(self._world)
+        snapshot = None if self.world is None else read_world(self.world)
         pairs = read_pairs(allow)
         if snapshot is None:
             return self._own_checker(pairs, held)

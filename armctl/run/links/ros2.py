@@ -18,6 +18,7 @@ from armctl.run.links.link import HandReading, MotionLink, Reading
 from armctl.run.links.ros2_connection import FollowingCheck, Ros2Connection, RosNames
 from armctl.run.links.ros2_node import check_name
 
+_FIRST_LEAD_S = 0.3  # of a motion from rest, which has no hurry: a controller that gets it late would begin with a jump
 _TRANSPORT_SHARE = 0.2  # of the lead, which a message must have left: planning a stop takes the rest
 _MOVED_RAD = 0.02  # from where the last motion ended, at which it was moved by something else
 _AT_REST_S = 0.1  # between two readings that tell whether the arm rests
@@ -74,7 +75,7 @@ class ROS2(MotionLink):
             namespace: Of the robot; empty if it has none.
             joints: The names of the joints in ROS, in the order of the model's joints; by default those of the model.
             dt: s, between two points of a message, in [0.001, 0.1].
-            lead: s, within which a message reaches the controller, in [0.01, 1]: a motion and a stop begin so much later.
+            lead: s, within which a message reaches the controller, in [0.01, 1]: a stop begins so much later, and a motion from rest by at least 0.3 s.
             use_sim_time: Whether the robot's time is that of the topic /clock, as in Gazebo.
             measures_torque: Whether the efforts in joint_states are torques that sensors measure.
             envelope: What its maker publishes; by default the limits of the program's arm count.
@@ -140,7 +141,7 @@ class ROS2(MotionLink):
         stream = self._streaming()
         message = connection.message(rows, self.dt)
         if changed == 0 and stream.tick < 0:  # it begins once the message is ready
-            stream.began = connection.now + self.lead
+            stream.began = connection.now + max(self.lead, _FIRST_LEAD_S)
         elif stream.began + self.dt * changed < connection.now + _TRANSPORT_SHARE * self.lead:
             return False
         connection.send(message, stream.began + self.dt * first)

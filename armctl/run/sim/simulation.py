@@ -237,7 +237,7 @@ class Simulation(Commands):
 
     def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
         """As of all commands. With nothing around it, an arm whose links have no shape moves; the result names the links."""
-        has_world = bool(len(self.world)) or has_obstacles(self.model, self.arm.joint_map.joints)
+        has_world = bool(self._obstacles.world) or has_obstacles(self.model, self.arm.joint_map.joints)
         is_alone = bool(self.arm.unchecked_links) and not has_world
         return super()._checker(flag("avoid", avoid) and not is_alone, allow)
 

@@ -106,7 +106,7 @@ def test_inverse_kinematics_keeps_what_follows_clear_too(load):
     solid = limb("a b c d").replace('contype="0" conaffinity="0"', "")
     arm = load(solid, ties("c b 0.1 -0.5") + motors("a b d"))
     target = arm.fk(arm.home + 0.3).position
-    wall = armctl.Scene().add_box("wall", [0.05, 0.05, 0.05], target)
+    wall = armctl.World().add("wall", armctl.Box([0.05, 0.05, 0.05]), target)
     arm = load(solid, ties("c b 0.1 -0.5") + motors("a b d"), scene=wall)
     assert armctl.solve_ik(arm, target).ok
     assert not armctl.solve_ik(arm, target, avoid=True).ok

@@ -119,7 +119,7 @@ def test_contacts_that_a_proof_leaves_out_and_a_simulation_keeps_are_named(read)
 
 
 def test_an_obstacle_that_a_link_cuts_wherever_the_arm_is_is_named_by_every_proof():
-    crate = armctl.Scene().add_box("crate", [1.0, 1.0, 0.2], at=[0.0, 0.0, 0.2])
+    crate = armctl.World().add("crate", armctl.Box([1.0, 1.0, 0.2]), at=[0.0, 0.0, 0.2])
     text = ARM.format(margin=0.0, gap=0.0, floor=-1.0, shape="box", pair="", option="", flag="")
     arm = armctl.load(mujoco.MjSpec.from_string(text), scene=crate)
     check = armctl.check_clearance(arm, armctl.move_j(arm, arm.home, arm.home))

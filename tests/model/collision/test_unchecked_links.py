@@ -46,8 +46,8 @@ def quietly(*arguments, **options) -> armctl.Arm:
         return armctl.load(*arguments, **options)
 
 
-def table() -> armctl.Scene:
-    return armctl.Scene().add_box("table", [0.6, 0.6, 0.02], [0.5, 0, 0.3])
+def table() -> armctl.World:
+    return armctl.World().add("table", armctl.Box([0.6, 0.6, 0.02]), [0.5, 0, 0.3])
 
 
 def test_an_arm_whose_meshes_are_all_missing_is_nowhere_proved(tmp_path):
@@ -267,7 +267,7 @@ def test_a_simulation_without_obstacles_moves_an_arm_without_shapes_and_says_so(
     assert result.ok
     assert result.unchecked_links == ("A", "B", "C")
     assert "contacts not checkable, no collision shape for A, B and C" in str(result)
-    floor = quietly(path, scene=armctl.Scene().add_box("floor", [1, 1, 0.1], [0, 0, -1]))
+    floor = quietly(path, scene=armctl.World().add("floor", armctl.Box([1, 1, 0.1]), [0, 0, -1]))
     assert "not checkable" in armctl.Simulation(floor).move_j(arm.home + 0.1).reason
 
 
@@ -281,7 +281,7 @@ def test_things_of_a_scene_collide_with_shapes_of_other_bits(tmp_path):
     """Links with contype 2 meet no geom of MuJoCo's default bits; MuJoCo finds the contact with a thing of a Scene."""
     path = tmp_path / "r.xml"
     path.write_text(collidable("").replace('mass="1"/>', 'mass="1" contype="2" conaffinity="2"/>'))
-    arm = quietly(path, scene=armctl.Scene().add_box("wall", [0.2, 0.2, 0.2], [0, 0, 0.9]))
+    arm = quietly(path, scene=armctl.World().add("wall", armctl.Box([0.2, 0.2, 0.2]), [0, 0, 0.9]))
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.qpos(np.zeros(6))
     mujoco.mj_forward(arm.model, data)

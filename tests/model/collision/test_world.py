@@ -1,7 +1,9 @@
 """A world that changes: clouds and bodies around an arm, at the arm's tip, and what may touch."""
 
 import gc
+import pickle
 import weakref
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -402,3 +404,66 @@ def test_a_world_is_a_scene_of_a_simulation(tmp_path):
 def test_names_of_other_libraries_are_answered_with_a_hint():
     with pytest.raises(AttributeError, match=r"World has no attribute 'add_box'; use world.add.name, armctl.Box.size., at"):
         World().add_box("a", [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])
+
+
+def test_a_body_with_the_name_of_another_body_of_the_model_is_refused():
+    arm = armctl.load("robot_arm_3dof")
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.2)
+    with pytest.raises(InputError, match="base is the name of a part of the robot"):
+        armctl.check_clearance(arm, motion, world=World().add("base", Box([0.2] * 3), [0.4, 0.0, 0.4]))
+    world = World().add("post", Box([0.1] * 3), [0.9, 0.9, 0.4])
+    among = armctl.load("robot_arm_3dof", scene=world)
+    motion = armctl.move_j(among, among.home, among.home + 0.2)
+    alone = armctl.check_clearance(among, motion)
+    assert armctl.check_clearance(among, motion, world=world).distance == alone.distance  # the same post, once
+    world.move("post", [0.4, 0.0, 0.4])
+    with pytest.raises(InputError, match="the model has a body post already, and elsewhere"):
+        armctl.check_clearance(among, motion, world=world)
+
+
+def test_an_arm_in_a_world_is_copied_to_another_process_and_later_changes_do_not_reach_it():
+    world = World().add("post", Box([0.1] * 3), [0.9, 0.9, 0.4])
+    arm = armctl.load("robot_arm_3dof", scene=world)
+    world.move("post", [0.0, 0.0, 2.0]).add("wall", Ball(0.1), [0.0, 0.0, 3.0])
+    for copied in (pickle.loads(pickle.dumps(arm)), arm):
+        model = copied.recipe.model(lambda spec: None)
+        assert model.body("post").pos == pytest.approx([0.9, 0.9, 0.4])
+        assert mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "wall") < 0
+
+
+def test_a_mesh_that_is_attached_weighs_as_the_box_with_its_corners_does(arm):
+    corners = np.array([[x, y, z] for x in (0.0, 0.1) for y in (0.0, 0.2) for z in (0.0, 0.3)])
+    middle = np.array([0.05, 0.1, 0.15])
+    q = arm.home + 0.1
+    loaded = []
+    for shape, at in ((Mesh(corners), Pose([0.1, 0.0, 0.05])), (Box([0.1, 0.2, 0.3]), Pose(middle + [0.1, 0.0, 0.05]))):
+        world = World().add("load", shape, mass=1.5)
+        loaded.append(world.attach("load", at).snapshot().loaded_arm(arm))
+    assert loaded[0].gravity(q) == pytest.approx(loaded[1].gravity(q), abs=1e-5)
+    assert loaded[0].mass_matrix(q) == pytest.approx(loaded[1].mass_matrix(q), abs=1e-5)
+
+
+def test_a_region_is_searched_among_the_bodies_of_a_world(arm):
+    target = arm.fk(arm.limits.clamp(arm.home + 0.3))
+    region = armctl.Region(target)
+    world = World().add("ball", Ball(0.05), target.position)
+    assert armctl.solve_ik(arm, region)
+    found = armctl.solve_ik(arm, region, avoid=True, world=world)
+    assert not found
+    assert "ball" in found.reason
+    with pytest.raises(InputError, match="avoid=True"):
+        armctl.solve_ik(arm, region, world=world)
+    with pytest.raises(InputError, match="center_of_mass_within"):
+        armctl.solve_ik(arm, region, center_of_mass_within=[[0, 0], [1, 0], [0, 1]])
+
+
+def test_lines_are_planned_with_what_is_attached():
+    strong = armctl.load("robot_arm_3dof")
+    arm = strong.with_limits(replace(strong.limits, tau_max=0.1 * strong.limits.tau_max))
+    sim = armctl.Simulation(arm)
+    end = sim.tip.position + [-0.05, 0.1, -0.1]
+    mass = 5.0
+    expected = armctl.move_l(arm.with_payload(mass), arm.home, end).duration
+    assert expected > 1.1 * armctl.move_l(arm, arm.home, end).duration
+    sim.world.add("load", Ball(1e-4), [0.0, 0.0, 5.0], mass=mass).attach("load", [0.0, 0.0, 0.0])
+    assert sim.move_l(end).log.motion_duration == pytest.approx(expected, rel=1e-6)

@@ -141,7 +141,7 @@ def test_actuators_with_memory_need_the_specification():
         armctl.load(mujoco.MjModel.from_xml_string(text))
 
 
-@pytest.mark.parametrize("how", [{"base": "free"}, {"tool": "robotiq_2f85"}, {"scene": armctl.Scene()}])
+@pytest.mark.parametrize("how", [{"base": "free"}, {"tool": "robotiq_2f85"}, {"scene": armctl.World()}])
 def test_what_a_compiled_model_cannot_get_is_refused(how: dict):
     model = mujoco.MjModel.from_xml_string(MODELS["motors"])
     with pytest.raises(
@@ -160,7 +160,7 @@ def test_neighbours_that_overlap_in_a_compiled_model_are_noted():
 def test_a_specification_can_get_a_base_a_tool_and_a_scene(tmp_path: Path):
     floating = mjcf(f'<body name="F"><freejoint/><geom size="0.05"/>{limb("a b")}</body>', motors("a b"))
     claw = mjcf('<body name="claw"><geom name="tip" type="sphere" size="0.02" pos="0 0 0.1" mass="0.1"/></body>')
-    scene = armctl.Scene().add_box("box", [0.1, 0.1, 0.1], [0.9, 0, 0.05])
+    scene = armctl.World().add("box", armctl.Box([0.1, 0.1, 0.1]), [0.9, 0, 0.05])
     spec = mujoco.MjSpec.from_string(floating)
     arm = loaded(spec, tool=mujoco.MjSpec.from_string(claw), scene=scene)
     assert arm.joint_names == ("a", "b")

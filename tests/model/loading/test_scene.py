@@ -12,8 +12,12 @@ import armctl
 
 
 def test_what_has_a_mass_is_loose_and_the_rest_stands(load):
-    scene = armctl.Scene().add_box("table", [1, 1, 0.1], [0, 0, -0.05]).add_ball("ball", 0.03, [0.3, 0.2, 0.5], mass=0.2)
-    scene.add_cylinder("can", 0.03, 0.1, armctl.Pose([-0.3, 0.2, 0.3], rpy=[0, 0, 1]), mass=0.3)
+    scene = (
+        armctl.World()
+        .add("table", armctl.Box([1, 1, 0.1]), [0, 0, -0.05])
+        .add("ball", armctl.Ball(0.03), [0.3, 0.2, 0.5], mass=0.2)
+    )
+    scene.add("can", armctl.Cylinder(0.03, 0.1), armctl.Pose([-0.3, 0.2, 0.3], rpy=[0, 0, 1]), mass=0.3)
     arm = load(limb("a b"), motors("a b"), scene=scene)
     assert arm.n == 2
     assert arm.model.body("ball").mass == pytest.approx([0.2])
@@ -27,7 +31,7 @@ def test_what_has_a_mass_is_loose_and_the_rest_stands(load):
 def test_a_scene_changes_nothing_about_the_arm(load):
     rest = motors("a b") + '<keyframe><key name="home" qpos="0.3 0.4" ctrl="1 2"/></keyframe>'
     alone = load(limb("a b"), rest)
-    arm = load(limb("a b"), rest, scene=armctl.Scene().add_ball("ball", 0.03, [2, 0, 1], mass=0.2))
+    arm = load(limb("a b"), rest, scene=armctl.World().add("ball", armctl.Ball(0.03), [2, 0, 1], mass=0.2))
     assert np.array_equal(arm.home, alone.home)
     assert arm.limits.tau_max == pytest.approx(alone.limits.tau_max)
     assert np.allclose(arm.jacobian(arm.home), alone.jacobian(alone.home))
@@ -37,22 +41,21 @@ def test_a_scene_changes_nothing_about_the_arm(load):
 
 def test_inverse_kinematics_keeps_clear_of_the_scene(bundled: armctl.Arm):
     target = bundled.fk([0.4, 0.5, -0.6]).position
-    wall = armctl.Scene().add_box("wall", [0.06, 0.06, 0.06], target)
+    wall = armctl.World().add("wall", armctl.Box([0.06, 0.06, 0.06]), target)
     arm = armctl.load(bundled.name, scene=wall)
     assert armctl.solve_ik(arm, target).ok
     assert not armctl.solve_ik(arm, target, avoid=True).ok
 
 
 WRONG = {
-    "twice": (
-        lambda s: s.add_box("a", [1, 1, 1], [0, 0, 0]).add_ball("a", 1, [0, 0, 0]),
-        "'a' is empty or in the scene already",
+    "no name": (lambda s: s.add("", armctl.Box([1, 1, 1]), [0, 0, 0]), "name: '' is empty; give the body a name"),
+    "flat": (
+        lambda s: s.add("a", armctl.Box([1, 0, 1]), [0, 0, 0]),
+        r"size: expected lengths above 0 m, got \[1.0, 0.0, 1.0\]",
     ),
-    "no name": (lambda s: s.add_box("", [1, 1, 1], [0, 0, 0]), "'' is empty or in the scene"),
-    "flat": (lambda s: s.add_box("a", [1, 0, 1], [0, 0, 0]), r"size: expected lengths above 0 m, got \[1.0, 0.0, 1.0\]"),
-    "no radius": (lambda s: s.add_ball("a", -1, [0, 0, 0]), r"radius: expected lengths above 0 m, got \[-1.0\]"),
-    "weightless": (lambda s: s.add_ball("a", 1, [0, 0, 0], mass=0), "mass: expected a number at least 1e-06, got 0"),
-    "nowhere": (lambda s: s.add_ball("a", 1, [0, 0]), "at: expected 3 numbers, got 2"),
+    "no radius": (lambda s: s.add("a", armctl.Ball(-1), [0, 0, 0]), r"radius: expected lengths above 0 m, got \[-1.0\]"),
+    "weightless": (lambda s: s.add("a", armctl.Ball(1), [0, 0, 0], mass=0), "mass: expected a number at least 1e-06, got 0"),
+    "nowhere": (lambda s: s.add("a", armctl.Ball(1), [0, 0]), "at: expected 3 numbers, got 2"),
 }
 
 
@@ -60,22 +63,22 @@ WRONG = {
 def test_a_wrong_thing_is_refused(what: str):
     add, sentence = WRONG[what]
     with pytest.raises(armctl.InputError, match=sentence):
-        add(armctl.Scene())
+        add(armctl.World())
 
 
 def test_a_name_of_the_robot_is_taken(load):
     with pytest.raises(armctl.InputError, match="scene: the model has a body 'A' already; choose another name"):
-        load(limb("a b"), motors("a b"), scene=armctl.Scene().add_box("A", [1, 1, 1], [5, 0, 0]))
+        load(limb("a b"), motors("a b"), scene=armctl.World().add("A", armctl.Box([1, 1, 1]), [5, 0, 0]))
     with pytest.raises(armctl.InputError, match="scene: the model has a geom 'floor' already; choose another name"):
         load(
             limb("a b") + '<geom name="floor" type="plane" size="1 1 1" pos="0 0 -1"/>',
             motors("a b"),
-            scene=armctl.Scene().add_box("floor", [1, 1, 1], [5, 0, 0]),
+            scene=armctl.World().add("floor", armctl.Box([1, 1, 1]), [5, 0, 0]),
         )
 
 
 def test_a_scene_can_be_used_twice(load):
-    scene = armctl.Scene().add_box("box", [0.1, 0.1, 0.1], [1, 0, 0])
+    scene = armctl.World().add("box", armctl.Box([0.1, 0.1, 0.1]), [1, 0, 0])
     models = [load(limb("a b"), motors("a b"), scene=scene).model for _ in range(2)]
     assert [mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_BODY, "box") > 0 for m in models] == [True, True]
 
@@ -120,8 +123,8 @@ def test_a_scene_can_be_a_file(load, cell: Path):
 
 
 def test_a_file_and_the_same_things_added_hold_the_same_scene(load, cell: Path):
-    added = armctl.Scene().add_box("table", [0.4, 0.4, 0.2], [0.6, 0, 0.1])
-    added.add_box("cube", [0.04] * 3, armctl.Pose([0.6, 0, 0.22], rpy=[0, 0, np.pi / 2]), mass=0.1)
+    added = armctl.World().add("table", armctl.Box([0.4, 0.4, 0.2]), [0.6, 0, 0.1])
+    added.add("cube", armctl.Box([0.04] * 3), armctl.Pose([0.6, 0, 0.22], rpy=[0, 0, np.pi / 2]), mass=0.1)
     mine = load(limb("a b"), motors("a b"), scene=added).model
     theirs = load(limb("a b"), motors("a b"), scene=cell).model
     for body in ("table", "cube"):
@@ -136,12 +139,12 @@ def test_a_file_and_the_same_things_added_hold_the_same_scene(load, cell: Path):
 
 
 def test_more_can_be_added_to_a_file_and_it_can_be_used_twice(load, cell: Path):
-    scene = armctl.Scene(cell).add_box("post", [0.1, 0.1, 1], [1, 1, 0.5])
+    scene = [cell, armctl.World().add("post", armctl.Box([0.1, 0.1, 1]), [1, 1, 0.5])]
     for _ in range(2):
         model = load(limb("a b"), motors("a b"), scene=scene).model
         assert {"table", "cube", "post"} <= {model.body(i).name for i in range(model.nbody)}
     with pytest.raises(armctl.InputError, match="scene: the model has a body 'cube' already; choose another name"):
-        load(limb("a b"), motors("a b"), scene=armctl.Scene(cell).add_box("cube", [1, 1, 1], [5, 0, 0]))
+        load(limb("a b"), motors("a b"), scene=[cell, armctl.World().add("cube", armctl.Box([1, 1, 1]), [5, 0, 0])])
     with pytest.raises(armctl.InputError, match="scene: the model has a body 'table' already; choose another name"):
         load(limb("a b").replace('name="A"', 'name="table"'), motors("a b"), scene=cell)
 
@@ -199,13 +202,13 @@ def in_hall(tmp_path, scene):
 
 
 def test_a_table_under_the_base_that_a_link_cuts_wherever_the_arm_is_gives_a_warning_and_no_force(tmp_path):
-    table = armctl.Scene().add_box("table", [1.0, 1.0, 0.1], at=[0.0, 0.0, -0.05])
+    table = armctl.World().add("table", armctl.Box([1.0, 1.0, 0.1]), at=[0.0, 0.0, -0.05])
     with pytest.warns(armctl.ArmctlWarning, match="table overlaps with turret wherever the arm is; their contact is left out"):
         in_hall(tmp_path, table)
 
 
 def test_an_object_above_the_base_keeps_its_contact_though_no_motion_avoids_it(tmp_path):
-    crate = armctl.Scene().add_box("crate", [1.0, 1.0, 0.2], at=[0.0, 0.0, 0.05])
+    crate = armctl.World().add("crate", armctl.Box([1.0, 1.0, 0.2]), at=[0.0, 0.0, 0.05])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         arm = in_hall(tmp_path, crate)
@@ -224,7 +227,7 @@ def test_a_floor_that_a_link_cuts_wherever_the_arm_is_gives_a_warning_and_no_for
 
 
 def test_a_box_that_only_some_configurations_cut_keeps_its_contact(tmp_path):
-    scene = armctl.Scene().add_box("box", [0.1, 0.1, 0.1], at=[0.2, 0.0, 0.05])
+    scene = armctl.World().add("box", armctl.Box([0.1, 0.1, 0.1]), at=[0.2, 0.0, 0.05])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         arm = in_hall(tmp_path, scene)
@@ -236,9 +239,9 @@ def test_a_box_that_only_some_configurations_cut_keeps_its_contact(tmp_path):
 @pytest.mark.parametrize("count", [1500, 4000, pytest.param(10_000, marks=pytest.mark.nightly)])
 def test_an_arm_among_thousands_of_things_loads_and_mujoco_steps_it(tmp_path, count):
     """MuJoCo reserves memory for all pairs of bodies; the default is too little from 1900 on."""
-    scene = armctl.Scene()
+    scene = armctl.World()
     for i in range(count):
-        scene.add_ball(f"ball{i}", 0.01, [1.0 + 0.03 * (i % 100), 0.03 * (i // 100), 0.5])
+        scene.add(f"ball{i}", armctl.Ball(0.01), [1.0 + 0.03 * (i % 100), 0.03 * (i // 100), 0.5])
     path = tmp_path / "r.xml"
     path.write_text(mjcf(limb("a b").replace('contype="0" conaffinity="0"', ""), motors("a b")))
     arm = armctl.load(path, scene=scene)

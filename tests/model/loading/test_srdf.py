@@ -70,7 +70,7 @@ def test_an_srdf_of_another_file_name_can_be_of_a_variant_so_links_that_touch_ar
 
 
 def test_an_object_of_the_scene_that_touches_the_robot_still_touches_it(load):
-    scene = armctl.Scene().add_box("crate", [0.4, 0.4, 0.4], [0.0, 0.0, 0.3])
+    scene = armctl.World().add("crate", armctl.Box([0.4, 0.4, 0.4]), [0.0, 0.0, 0.3])
     with pytest.warns(armctl.ArmctlWarning, match="contacts of 1 pair of links"):
         arm = load(scene=scene)
     assert contacts_at_home(arm) > 0
@@ -87,7 +87,7 @@ def test_home_of_several_groups_is_merged_and_kept_inside_the_limits(load):
 
 
 def test_home_survives_a_scene_with_loose_objects(load):
-    scene = armctl.Scene().add_box("crate", [0.1, 0.1, 0.1], [2.0, 0.0, 0.3], mass=1.0)
+    scene = armctl.World().add("crate", armctl.Box([0.1, 0.1, 0.1]), [2.0, 0.0, 0.3], mass=1.0)
     np.testing.assert_array_equal(load(PAIRS + STATE, scene=scene).home, [0.3, -0.4, 0.0])
 
 

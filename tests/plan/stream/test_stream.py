@@ -410,7 +410,7 @@ def test_the_pieces_are_the_motion_from_now_on(arm):
 @pytest.fixture
 def arm_before_a_wall(arm) -> armctl.Arm:
     ahead = arm.fk(arm.home + np.array([0.8, 0.0, 0.0])).position
-    return armctl.load("robot_arm_3dof", scene=armctl.Scene().add_box("wall", [0.1, 0.1, 0.6], ahead))
+    return armctl.load("robot_arm_3dof", scene=armctl.World().add("wall", armctl.Box([0.1, 0.1, 0.6]), ahead))
 
 
 @pytest.mark.parametrize("far", [[400.0, 0.0, 0.0], [300.0, 100.0, 250.0], [0.0, 0.0, -1e9]])

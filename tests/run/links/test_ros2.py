@@ -150,7 +150,7 @@ def test_without_a_planner_the_arm_gets_a_braking_path(arm: armctl.Arm, how: sig
     along = (controller.q - arm.home) @ (GOAL - arm.home) / np.sum(np.square(GOAL - arm.home))
     assert np.abs(controller.q - arm.home - along * (GOAL - arm.home)).max() < 1e-6
     assert along < 0.95
-    assert controller.jumps[-1] < 1e-6  # of the braking path; a busy computer may deliver the first motion late
+    assert max(controller.jumps) < 1e-6
 
 
 def test_a_simulated_clock_at_half_speed_changes_nothing(arm: armctl.Arm):
@@ -183,8 +183,10 @@ def test_what_speaks_against_a_robot_of_ros_is_one_sentence(arm: armctl.Arm, mon
     names = [f"joint_{k}" for k in range(3)]
     with controller_of(arm, "named", joints=names) as controller:
         controller.stamp_offset = -3.0
-        with pytest.raises(armctl.LinkError, match=r"stamped 3(\.\d+)? s before this computer's time; synchronize"):
+        with pytest.raises(armctl.LinkError, match=r"stamped .* s before this computer's time; synchronize") as caught:
             armctl.links.ROS2(arm, namespace="named", joints=names).open()
+        seconds = float(str(caught.value).partition("stamped ")[2].split()[0])
+        assert 3.0 <= seconds < 3.05  # as far as its states were on their way
         controller.stamp_offset = 0.0
         monkeypatch.setattr(ros2_connection, "_DISCOVERY_S", 2.0)
         with pytest.raises(armctl.LinkError, match=r"it has no .*, but joint_0, joint_1 and joint_2; give joints="):

@@ -31,7 +31,7 @@ PARALLELOGRAM = f"""
   <actuator><motor joint="crank" ctrlrange="-50 50"/></actuator>
 </mujoco>
 """
-POST = armctl.Scene().add_box("post", [0.06, 0.06, 1.2], [0.55, 0.35, 0.6])
+POST = armctl.World().add("post", armctl.Box([0.06, 0.06, 1.2]), [0.55, 0.35, 0.6])
 
 
 @pytest.fixture(scope="module")

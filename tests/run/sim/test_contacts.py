@@ -95,8 +95,8 @@ def test_contact_of_neighbouring_runs_does_not_leak_into_the_next(slider):
 
 
 def test_a_loose_object_on_a_table_is_no_contact_of_the_arm(load):
-    scene = armctl.Scene().add_box("table", [0.2, 0.2, 0.1], [0.9, 0.9, 0.05])
-    scene = scene.add_box("cube", [0.05] * 3, [0.9, 0.9, 0.125], mass=0.1)
+    scene = armctl.World().add("table", armctl.Box([0.2, 0.2, 0.1]), [0.9, 0.9, 0.05])
+    scene = scene.add("cube", armctl.Box([0.05] * 3), [0.9, 0.9, 0.125], mass=0.1)
     arm = load(limb("a b", '<site name="tip"/>'), motors("a b"), scene=scene)
     sim = Simulation(arm)
     log = sim.move_j(arm.home + 0.1, avoid=False).log

@@ -71,7 +71,7 @@ GRIPPERS = {
 
 @pytest.fixture
 def gripper_arm(tmp_path: Path):
-    def loaded(kind: str, scene: armctl.Scene | None = None) -> armctl.Arm:
+    def loaded(kind: str, scene: armctl.World | None = None) -> armctl.Arm:
         inside, rest, _ = GRIPPERS[kind]
         rest = '<option gravity="0 0 0"/>' + rest
         path = tmp_path / "arm.xml"
@@ -105,7 +105,7 @@ def test_closed_on_nothing_is_said(gripper_arm, kind: str):
 @pytest.mark.parametrize("kind", [kind for kind in GRIPPERS if kind != "a jaw"])
 def test_a_grasp_presses_as_asked_and_holds(gripper_arm, kind: str):
     at = gripper_arm(kind).fk([0, 0])
-    arm = gripper_arm(kind, armctl.Scene().add_box("block", [0.018, 0.03, 0.03], at, mass=0.05))
+    arm = gripper_arm(kind, armctl.World().add("block", armctl.Box([0.018, 0.03, 0.03]), at, mass=0.05))
     sim = armctl.Simulation(arm)
     sim.gripper.open()
     sim.data.joint("block").qpos[:3] = at.position
@@ -125,7 +125,7 @@ def test_a_grasp_presses_as_asked_and_holds(gripper_arm, kind: str):
 
 def test_a_body_that_cannot_move_is_not_held(gripper_arm):
     at = gripper_arm("tendon").fk([0, 0])
-    sim = armctl.Simulation(gripper_arm("tendon", armctl.Scene().add_box("post", [0.018, 0.03, 0.03], at)))
+    sim = armctl.Simulation(gripper_arm("tendon", armctl.World().add("post", armctl.Box([0.018, 0.03, 0.03]), at)))
     result = sim.gripper.grasp(8.0)
     assert len(sim.data.contact) > 0
     assert not result.ok

@@ -168,7 +168,7 @@ def test_an_arm_on_a_planar_base_goes_around_a_wall():
         + limb("a b c").replace('contype="0" conaffinity="0"', "").replace('pos="0.1 0 0.1"', 'pos="0.02 0 0.12"')
         + "</body>"
     )
-    scene = armctl.Scene().add_box("wall", [0.1, 2.0, 1.0], [1.0, 0.0, 0.5])
+    scene = armctl.World().add("wall", armctl.Box([0.1, 2.0, 1.0]), [1.0, 0.0, 0.5])
     arm = armctl.load(mujoco.MjSpec.from_string(mjcf(cart, motors("a b c"))), base="planar", scene=scene)
     simulation = armctl.Simulation(arm)
     tip = simulation.tip.position

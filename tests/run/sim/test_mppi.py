@@ -20,8 +20,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
 
 @pytest.fixture(scope="module")
 def arm() -> armctl.Arm:
-    scene = armctl.Scene().add_box("table", [0.6, 0.8, 0.02], [0.35, 0.0, -0.01])
-    scene.add_box("box", [0.08, 0.06, 0.05], BOX + at(z=1e-4), mass=0.2)
+    scene = armctl.World().add("table", armctl.Box([0.6, 0.8, 0.02]), [0.35, 0.0, -0.01])
+    scene.add("box", armctl.Box([0.08, 0.06, 0.05]), BOX + at(z=1e-4), mass=0.2)
     return armctl.load(FILE, tool=mujoco.MjSpec.from_string(STICK), scene=scene)
 
 

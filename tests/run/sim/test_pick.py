@@ -20,7 +20,11 @@ def cell(request: pytest.FixtureRequest) -> tuple[armctl.Arm, np.ndarray]:
     how, table, corners = CELLS[request.param]
     if not all(map(at_hand, [request.param, *how.values()])):
         pytest.skip(f"{request.param}: {MISSING}")
-    scene = armctl.Scene().add_box("table", *table).add_box("cube", [0.04] * 3, np.append(corners[0], HEIGHT), mass=0.1)
+    scene = (
+        armctl.World()
+        .add("table", armctl.Box(*table))
+        .add("cube", armctl.Box([0.04] * 3), np.append(corners[0], HEIGHT), mass=0.1)
+    )
     return armctl.load(request.param, scene=scene, **how), np.array(corners)
 
 
@@ -51,7 +55,7 @@ def pair() -> armctl.Arm:
     """ALOHA's two arms and a stick on the table."""
     if not at_hand("aloha"):
         pytest.skip(f"aloha: {MISSING}")
-    stick = armctl.Scene().add_box("stick", [0.02, 0.22, 0.02], at=[-0.12, 0, 0.01], mass=0.05)
+    stick = armctl.World().add("stick", armctl.Box([0.02, 0.22, 0.02]), at=[-0.12, 0, 0.01], mass=0.05)
     return armctl.load("aloha", scene=stick)
 
 

@@ -23,8 +23,8 @@ class Watched:
     """A session with a wall between two targets, and the smallest distance of the arm from anything."""
 
     def __init__(self) -> None:
-        scene = armctl.Scene()
-        scene.add_box("wall", [0.12, 0.04, 0.34], [0.42, 0.0, 0.17])
+        scene = armctl.World()
+        scene.add("wall", armctl.Box([0.12, 0.04, 0.34]), [0.42, 0.0, 0.17])
         self.arm = armctl.load(BUNDLED, scene=scene)
         self.session = RealTimeSession(self.arm)
         self.checker = Obstacles(self.arm, self.session._stepper.data).checker()

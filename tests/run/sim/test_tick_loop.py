@@ -80,7 +80,7 @@ def rubbing(tmp_path_factory: pytest.TempPathFactory) -> armctl.Arm:
 def at_wall() -> armctl.Arm:
     """The bundled arm, 1 mm inside a wall."""
     reach = float(armctl.load("robot_arm_3dof").fk(armctl.load("robot_arm_3dof").home).position[0])
-    scene = armctl.Scene().add_box("wall", [0.1, 1.0, 1.0], at=[reach + 0.049, 0.0, 0.5])
+    scene = armctl.World().add("wall", armctl.Box([0.1, 1.0, 1.0]), at=[reach + 0.049, 0.0, 0.5])
     return armctl.load("robot_arm_3dof", scene=scene)
 
 

@@ -31,7 +31,7 @@ class Watching:
 
 @pytest.fixture(scope="module")
 def at_wall() -> armctl.Arm:
-    scene = armctl.Scene().add_box("wall", [0.1, 1.0, 1.0], at=[WALL_FACE + 0.05, 0.0, 0.5])
+    scene = armctl.World().add("wall", armctl.Box([0.1, 1.0, 1.0]), at=[WALL_FACE + 0.05, 0.0, 0.5])
     return armctl.load("robot_arm_3dof", scene=scene)
 
 
@@ -123,7 +123,7 @@ def test_nobody_pays_for_a_wrench_that_nobody_asks_for(at_wall):
 
 
 def test_a_link_that_touches_in_front_of_the_sensor_is_named(tmp_path):
-    scene = armctl.Scene().add_box("shelf", [0.05, 0.05, 0.05], at=[0.15, 0.0, 0.3])
+    scene = armctl.World().add("shelf", armctl.Box([0.05, 0.05, 0.05]), at=[0.15, 0.0, 0.3])
     arm = armctl.load("robot_arm_3dof", scene=scene)
     plant = armctl.Plant(timestep=0.001)
     still = Still(arm.home, 0.01)
