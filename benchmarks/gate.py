@@ -27,7 +27,6 @@ import numpy as np
 from markdown_table import titled_table
 
 import armctl
-from armctl.core.trajectory import Setpoint
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import collision_checker
 from armctl.plan.motion.trajectory.path_stop import remaining
@@ -261,7 +260,7 @@ def errors(name: str, count: int) -> list[list[object]]:
     return [[name, kind, *(found[key] for key in ("count", "refused", "touched", "broke"))] for kind, found in rows.items()]
 
 
-def wrong(this: Setup, kind: str, state: Setpoint) -> dict[str, object]:
+def wrong(this: Setup, kind: str, state: armctl.Setpoint) -> dict[str, object]:
     """What a policy that fails asks for."""
     rng = this.rng
     if kind == "a twist":
@@ -338,7 +337,7 @@ def stop_on_path(motion: armctl.JointTrajectory, at: float) -> armctl.JointTraje
     )
 
 
-def fastest_stop(arm: armctl.Arm, state: Setpoint) -> armctl.JointTrajectory | None:
+def fastest_stop(arm: armctl.Arm, state: armctl.Setpoint) -> armctl.JointTrajectory | None:
     stream = armctl.Stream(arm, state)
     return armctl.JointTrajectory(*stream.pieces, arm.joint_names, arm.limits)
 

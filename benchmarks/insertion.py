@@ -99,7 +99,9 @@ def hole(center: np.ndarray) -> armctl.World:
     for k, angle in enumerate(2 * np.pi * np.arange(SIDES) / SIDES):
         outward = np.array([np.cos(angle), np.sin(angle), 0.0])
         at = center + (RADIUS_M + GAP_M + 0.01) * outward - [0.0, 0.0, 0.5 * DEPTH_M]
-        scene.add(f"side {k}", armctl.Box([0.02, 0.06 * np.tan(np.pi / SIDES), DEPTH_M]), armctl.Pose(at, rpy=[0.0, 0.0, angle]))
+        scene.add(
+            f"side {k}", armctl.Box([0.02, 0.06 * np.tan(np.pi / SIDES), DEPTH_M]), armctl.Pose(at, rpy=[0.0, 0.0, angle])
+        )
     return scene
 
 

@@ -87,6 +87,8 @@ def as_array(what: str, value: object) -> NDArray[Any]:
     """What NumPy makes of an argument, of any type; InputError if it makes nothing."""
     try:
         return np.asarray(value)
+    except InputError as error:  # an object of armctl that says what it is instead
+        raise InputError(f"{what}: {error}") from None
     except Exception:  # a caller's object may raise anything while NumPy converts it
         raise InputError(f"{what}: {shown(value)} is not an array of numbers") from None
 

@@ -105,8 +105,11 @@ def tour_of(arm: Arm, robot: str) -> list[Stop]:
         ),
         Stop(
             "PD beside computed torque",
-            "Both follow the same motion, with encoders of the same noise.",
-            f'{load}reports = armctl.compare(arm, ["pd", "computed-torque"], armctl.out_and_back(arm), configurations=0)\n'
+            "Both follow the same motion with their default gains, whose delay margins are in the table. For equal margins: "
+            "armctl compare --delay-margin.",
+            f"{load}plant = armctl.Plant(encoder_noise=1e-5)\n"
+            'controllers = ["pd-gravity", "computed-torque"]\n'
+            "reports = armctl.compare(arm, controllers, armctl.out_and_back(arm), [plant])\n"
             "print(reports)\n",
             _compared,
             has_table=True,

@@ -237,6 +237,13 @@ class Region:
         bounds = [[-half[0], half[0]], [-half[1], half[1]], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [-np.inf, np.inf]]
         return cls(top, bounds, tip=_DOWN, name=name)
 
+    def __array__(self, dtype: object = None, copy: object = None) -> Array:
+        """Refused, where one pose is taken and not a set of them."""
+        raise InputError(
+            "a Region is a set of poses, for solve_ik, move_to, move_free, move_path, DifferentialIk, Gate and Stream; "
+            "region.nearest(arm.fk(q)).pose is one of them"
+        )
+
     def __or__(self, other: Region) -> Region:
         if not isinstance(other, Region):
             return NotImplemented

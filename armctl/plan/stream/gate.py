@@ -18,6 +18,7 @@ from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import checkable
 from armctl.model.collision.world_snapshot import WorldLike, WorldSnapshot, read_world
 from armctl.plan.ik.differential import DifferentialIk
+from armctl.plan.ik.region import Region
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
@@ -92,7 +93,7 @@ class Gate:
         *,
         at: float = 0.0,
         q: ArrayLike | None = None,
-        tip: TargetLike | Sequence[TargetLike] | None = None,
+        tip: TargetLike | Region | Sequence[TargetLike | Region] | None = None,
         twist: tuple[ArrayLike, ArrayLike] | None = None,
         times: ArrayLike | None = None,
     ) -> GateAnswer:
@@ -107,7 +108,8 @@ class Gate:
                 ends at rest, as long as nothing better is proved.
             at: s into that motion.
             q: (n,) rad, a target of the joints; or (K, n), a chunk, with times.
-            tip: A target of the tip, T_world_tip, or (3,) m if any orientation is accepted; or a list of K of them, with times.
+            tip: A target of the tip, T_world_tip, (3,) m if any orientation is accepted, or a Region; or a list of K of them,
+                with times.
             twist: The velocity of the tip, (3,) m/s and (3,) rad/s in world axes, for 0.2 s.
             times: (K,) s from now, increasing, when the arm is at each target of a chunk.
 
@@ -150,14 +152,16 @@ class Gate:
         targets = matrix("q", q, self.arm.n)
         return admission.targets(_checked_times(times, len(targets), "q"), targets)
 
-    def _tip(self, admission: Admission, tip: TargetLike | Sequence[TargetLike], times: ArrayLike | None) -> GateAnswer:
+    def _tip(
+        self, admission: Admission, tip: TargetLike | Region | Sequence[TargetLike | Region], times: ArrayLike | None
+    ) -> GateAnswer:
         check_one_tip(self.arm)
         if times is None:
-            goals = [Target.read(tip)]  # type: ignore[arg-type]
+            goals = [_goal(tip)]  # type: ignore[arg-type]
         else:
-            if isinstance(tip, Pose) or not isinstance(tip, (Sequence, np.ndarray)):
+            if isinstance(tip, (Pose, Region)) or not isinstance(tip, (Sequence, np.ndarray)):
                 raise InputError("tip: a chunk with times is a list of targets of the tip")
-            goals = [Target.read(each) for each in tip]
+            goals = [_goal(each) for each in tip]
         seconds = None if times is None else _checked_times(times, len(goals), "tip")
         last = admission.start.q
         found = []
@@ -169,6 +173,10 @@ class Gate:
                 return admission.refused(Refusal(f"{which}{solution.reason}"), last)
             found.append(last)
         return admission.targets(seconds, np.array(found))
+
+
+def _goal(tip: TargetLike | Region) -> Target | Region:
+    return tip if isinstance(tip, Region) else Target.read(tip)
 
 
 def _running(arm: Arm, state: ArrayLike | Setpoint | JointTrajectory, at: float) -> Pieces | None:

@@ -23,6 +23,7 @@ from armctl.model.collision.checkers import avoided, checkable
 from armctl.model.collision.world_snapshot import WorldLike
 from armctl.plan.ik.differential import DifferentialIk
 from armctl.plan.ik.ik_result import FAR_M
+from armctl.plan.ik.region import Region
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
 from armctl.plan.motion.timing.otg import JointState
@@ -270,7 +271,7 @@ class Stream:
         self._targets.push_chunk(t, clamped, rates)
         self._plan()
 
-    def push_pose(self, t: float, target: TargetLike | TipTargets) -> None:
+    def push_pose(self, t: float, target: TargetLike | Region | TipTargets) -> None:
         """Takes a target of the tip: inverse kinematics makes it a target of the joints, near the last one.
 
         The nearest point is used instead of one out of reach. Where the target moves on, but only another posture of the arm
@@ -290,6 +291,8 @@ class Stream:
             self.push(time, self._configuration_by_tip(target))
             return
         check_one_tip(self._arm)
+        if isinstance(target, Region):
+            target = target.nearest(self._arm.fk(self._targets.rest)).pose
         goal = Target.read(target)
         if self._device is not None and goal.pose is not None:
             goal = Target.read(self._reanchored(goal.pose), goal.tolerance, goal.angle_tolerance)

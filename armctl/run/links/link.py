@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from armctl.core.errors import LinkError
 from armctl.core.validation import Array, instance
 from armctl.plan.motion.trajectory.piecewise import JointSamples
 from armctl.run.links.envelope import Envelope
@@ -58,6 +59,24 @@ class HandLink(Protocol):
     def close_hand(self, force: float) -> bool:
         """Closes the fingers, which then hold with a force, N. Returns whether the hand calls it a success."""
         ...
+
+
+class WithoutHand(HandLink):
+    """The part of a link to a robot whose hand no program moves; `no_hand` says why, in one sentence."""
+
+    no_hand: str
+
+    def read_hand(self) -> HandReading:
+        """Refused; LinkError says why."""
+        raise LinkError(self.no_hand)
+
+    def move_hand(self, width: float) -> bool:
+        """Refused, as it is to read it."""
+        raise LinkError(self.no_hand)
+
+    def close_hand(self, force: float) -> bool:
+        """Refused, as it is to read it."""
+        raise LinkError(self.no_hand)
 
 
 @runtime_checkable

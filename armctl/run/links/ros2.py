@@ -14,7 +14,7 @@ from armctl.core.validation import Array, flag, instance, number, vector, words
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.plan.motion.trajectory.piecewise import JointSamples
 from armctl.run.links.envelope import Envelope
-from armctl.run.links.link import HandReading, MotionLink, Reading
+from armctl.run.links.link import MotionLink, Reading, WithoutHand
 from armctl.run.links.ros2_connection import FollowingCheck, Ros2Connection, RosNames
 from armctl.run.links.ros2_node import check_name
 
@@ -22,7 +22,6 @@ _FIRST_LEAD_S = 0.3  # of a motion from rest, which has no hurry: a controller t
 _TRANSPORT_SHARE = 0.2  # of the lead, which a message must have left: planning a stop takes the rest
 _MOVED_RAD = 0.02  # from where the last motion ended, at which it was moved by something else
 _AT_REST_S = 0.1  # between two readings that tell whether the arm rests
-_NO_HAND = "gripper: the link to ROS 2 commands no gripper; send its action from a node of ROS"
 
 
 @dataclass
@@ -34,7 +33,7 @@ class _MotionStream:
     tick: int = -1
 
 
-class ROS2(MotionLink):
+class ROS2(WithoutHand, MotionLink):
     """Any arm that ROS 2 moves by a joint_trajectory_controller of ros2_control.
 
     It was tried with nodes that play such a controller, never with a robot or an installation of ROS. Each motion is one
@@ -49,6 +48,7 @@ class ROS2(MotionLink):
         name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
     """
 
+    no_hand = "gripper: the link to ROS 2 commands no gripper; send its action from a node of ROS"
     rest_speed = 2e-2
     settle = (2e-3, 1e-2)
     payload: float | None = None
@@ -75,7 +75,8 @@ class ROS2(MotionLink):
             namespace: Of the robot; empty if it has none.
             joints: The names of the joints in ROS, in the order of the model's joints; by default those of the model.
             dt: s, between two points of a message, in [0.001, 0.1].
-            lead: s, within which a message reaches the controller, in [0.01, 1]: a stop begins so much later, and a motion from rest by at least 0.3 s.
+            lead: s, within which a message reaches the controller, in [0.01, 1]: a stop begins so much later,
+                and a motion from rest 0.3 s later if that is more.
             use_sim_time: Whether the robot's time is that of the topic /clock, as in Gazebo.
             measures_torque: Whether the efforts in joint_states are torques that sensors measure.
             envelope: What its maker publishes; by default the limits of the program's arm count.
@@ -179,18 +180,6 @@ class ROS2(MotionLink):
         if moved[joint] > self.rest_speed * _AT_REST_S:
             raise LinkError(f"recover: {self._names.joints[joint]} moves; wait until the arm is at rest")
         self._commanded = np.array(second.q)
-
-    def read_hand(self) -> HandReading:
-        """Refused: grippers of ROS 2 have actions of their own."""
-        raise LinkError(_NO_HAND)
-
-    def move_hand(self, width: float) -> bool:
-        """Refused, as it is to read it."""
-        raise LinkError(_NO_HAND)
-
-    def close_hand(self, force: float) -> bool:
-        """Refused, as it is to read it."""
-        raise LinkError(_NO_HAND)
 
     def close(self) -> None:
         if self._connection is not None:

@@ -21,6 +21,7 @@ from armctl.run.links.ros2_node import RosNode, import_ros, stamp
 _QUEUE = 10  # messages
 _DISCOVERY_S = 5.0  # until nodes on one computer or network know each other
 _numbers = itertools.count(1)  # of the nodes of this process: another commander in it has another name
+_MATCH_S = 0.5  # from when this node knows the controller until it knows this node, too
 _SILENCE_S = 0.5  # without a state, after which the link counts as lost
 _CLOCK_GAP_S = 0.1  # between the stamps of the states and this computer's clock
 _CLOCK_STATES = 5  # of which the one with the smallest gap counts: a busy computer reads some late
@@ -160,6 +161,7 @@ class Ros2Connection:
     def _require_controller(self) -> None:
         topic = self.names.motions
         if self.node.wait_for(lambda: self._publisher.get_subscription_count() > 0, _DISCOVERY_S):
+            self.node.wait_for(lambda: False, _MATCH_S)
             return
         if self.node.node.count_subscribers(topic):
             raise LinkError(f"{topic}: the node that takes it wants another quality of service than a controller")

@@ -18,7 +18,7 @@ from armctl.core.file_reading import read_bytes, reading, shown_path
 from armctl.core.validation import Array, IntArray, vector
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.run.links.envelope import Envelope, envelope_of
-from armctl.run.links.link import HandReading, Link, Reading
+from armctl.run.links.link import Link, Reading, WithoutHand
 
 # The bus.
 _BAUD = 1_000_000
@@ -58,10 +58,7 @@ class _Servo(NamedTuple):
     travel: int
 
 
-_NO_HAND = "gripper: the gripper of an SO-101 is not supported"
-
-
-class SO101(Link):
+class SO101(WithoutHand, Link):
     """An SO-100 or SO-101 arm on a serial port. Needs the extra `so101`, and a calibration by LeRobot.
 
     It was tried with a simulated bus only, never with a robot. The servos protect nothing: they run to any goal at once. The
@@ -76,6 +73,7 @@ class SO101(Link):
         name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
     """
 
+    no_hand = "gripper: the gripper of an SO-101 is not supported"
     dt = 0.02
     rest_speed = 0.05
     settle = (5e-3, 2e-2)
@@ -184,18 +182,6 @@ class SO101(Link):
         fault = "".join(self._fault() for _ in self._ids)
         if fault:
             raise LinkError(f"recover: {fault}; switch the power of the servos off and on")
-
-    def read_hand(self) -> HandReading:
-        """Refused: the gripper is a joint with an unknown width."""
-        raise LinkError(_NO_HAND)
-
-    def move_hand(self, width: float) -> bool:
-        """Refused, as it is to read it."""
-        raise LinkError(_NO_HAND)
-
-    def close_hand(self, force: float) -> bool:
-        """Refused, as it is to read it."""
-        raise LinkError(_NO_HAND)
 
     def close(self) -> None:
         """Closes the port; the servos hold."""

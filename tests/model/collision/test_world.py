@@ -436,7 +436,10 @@ def test_a_mesh_that_is_attached_weighs_as_the_box_with_its_corners_does(arm):
     middle = np.array([0.05, 0.1, 0.15])
     q = arm.home + 0.1
     loaded = []
-    for shape, at in ((Mesh(corners), Pose([0.1, 0.0, 0.05])), (Box([0.1, 0.2, 0.3]), Pose(middle + [0.1, 0.0, 0.05]))):
+    for shape, at in (
+        (Mesh(corners), Pose([0.1, 0.0, 0.05])),
+        (Box([0.1, 0.2, 0.3]), Pose(middle + np.array([0.1, 0.0, 0.05]))),
+    ):
         world = World().add("load", shape, mass=1.5)
         loaded.append(world.attach("load", at).snapshot().loaded_arm(arm))
     assert loaded[0].gravity(q) == pytest.approx(loaded[1].gravity(q), abs=1e-5)
@@ -461,7 +464,7 @@ def test_lines_are_planned_with_what_is_attached():
     strong = armctl.load("robot_arm_3dof")
     arm = strong.with_limits(replace(strong.limits, tau_max=0.1 * strong.limits.tau_max))
     sim = armctl.Simulation(arm)
-    end = sim.tip.position + [-0.05, 0.1, -0.1]
+    end = sim.tip.position + np.array([-0.05, 0.1, -0.1])
     mass = 5.0
     expected = armctl.move_l(arm.with_payload(mass), arm.home, end).duration
     assert expected > 1.1 * armctl.move_l(arm, arm.home, end).duration
