@@ -43,7 +43,7 @@ CALLS_IN_SUITE = 1500
 CALLS_PER_WORLD = 250  # then all objects are made again, since a call may have moved or spoiled them
 
 # Not called: what opens windows, or is Python's own: abstract classes, which Python itself refuses to make, and exceptions.
-LEFT_OUT = {"Link", "Controller", "CFunctionLaw", "CompiledController", "Trajectory", "ArmctlError", "ArmctlWarning"}
+LEFT_OUT = {"Controller", "CFunctionLaw", "CompiledController", "ArmctlError", "ArmctlWarning"}
 # Valid values cost seconds there, so that these are called with at least one hostile value and rarely.
 SLOW = {
     "compare",
@@ -377,7 +377,7 @@ def targets(objects: dict[str, object]) -> list[Target]:
                 add(prefix + name, value)
                 continue
             # The options of a call and the words of an enumeration are checked by the call.
-            if issubclass(value, Exception | enum.Enum) or typing.is_typeddict(value):
+            if issubclass(value, Exception | enum.Enum) or typing.is_typeddict(value) or typing.Protocol in value.__bases__:
                 continue
             add(prefix + name, value)
             owner = objects.get(prefix + name, value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
@@ -212,7 +213,7 @@ class World:
         with self._lock:
             if self._snapshot is None:
                 self._snapshot = WorldSnapshot(
-                    version=self._version, bodies=dict(self._bodies), allowed=frozenset(self._allowed)
+                    version=self._version, bodies=MappingProxyType(dict(self._bodies)), allowed=frozenset(self._allowed)
                 )
             return self._snapshot
 

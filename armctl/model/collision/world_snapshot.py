@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Protocol, TypeAlias, runtime_checkable
 from weakref import WeakKeyDictionary
 
@@ -53,9 +52,6 @@ class WorldSnapshot:
     bodies: Mapping[str, WorldBody]
     allowed: frozenset[tuple[str, str]] = frozenset()
     _derived: WeakKeyDictionary[object, object] = field(default_factory=WeakKeyDictionary, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "bodies", MappingProxyType(dict(self.bodies)))
 
     @property
     def derived(self) -> WeakKeyDictionary[object, object]:

@@ -84,8 +84,8 @@ def test_a_tip_offset_is_a_pose(bundled: armctl.Arm):
     [
         ({"tip": 3}, "tip: expected str, got 3; give the name of a site, body or geom"),
         ({"base": 3}, "base: expected str, got 3; give the name of a body"),
-        ({"scene": "table"}, "scene: 'table' is neither a Scene nor the path of an .xml file; armctl.World()"),
-        ({"scene": 3}, "scene: 3 is neither a Scene nor"),
+        ({"scene": "table"}, "scene: 'table' is neither a World nor the path of an .xml file; armctl.World()"),
+        ({"scene": 3}, "scene: 3 is neither a World nor"),
         ({"tool": 3}, "tool: 3 is neither a name nor a path; try tool='robotiq_2f85'"),
     ],
 )

@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from armctl.model.loading.scene import SceneParts
+
 BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
 sys.path.append(str(BENCHMARKS))  # a benchmark imports its neighbours
 insertion = SimpleNamespace(**runpy.run_path(str(BENCHMARKS / "insertion.py")))
@@ -26,7 +28,7 @@ def test_the_gap_is_50_um_in_every_direction(arm):
     spec = mujoco.MjSpec.from_string(insertion.PEG)
     spec.body("peg").add_freejoint()
     spec.option.ccd_tolerance = arm.model.opt.ccd_tolerance
-    insertion.hole(np.zeros(3)).build(spec)
+    SceneParts(insertion.hole(np.zeros(3))).build(spec)
     model = spec.compile()
     data = mujoco.MjData(model)
 

@@ -22,7 +22,7 @@ def cell(request: pytest.FixtureRequest) -> tuple[armctl.Arm, np.ndarray]:
         pytest.skip(f"{request.param}: {MISSING}")
     scene = (
         armctl.World()
-        .add("table", armctl.Box(*table))
+        .add("table", armctl.Box(table[0]), table[1])
         .add("cube", armctl.Box([0.04] * 3), np.append(corners[0], HEIGHT), mass=0.1)
     )
     return armctl.load(request.param, scene=scene, **how), np.array(corners)
