@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import reduce
 from operator import or_
 from pathlib import Path
@@ -167,7 +167,7 @@ def _checked(body: WorldBody) -> WorldBody:
     return body
 
 
-SceneLike: TypeAlias = SceneParts | ScenePart | Sequence[ScenePart]
+SceneLike: TypeAlias = SceneParts | ScenePart | list[ScenePart] | tuple[ScenePart, ...]
 
 
 def read_scene(scene: SceneLike) -> SceneParts:
