@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +15,7 @@ from armctl.core.errors import InputError, PlanError
 from armctl.core.faces import with_options
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
+from armctl.core.tip_targets import TipTargets
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
@@ -28,6 +29,7 @@ from armctl.plan.motion.path.path_segments import MIN_LENGTH, Blend, Circle, Com
 from armctl.plan.motion.path.tip_caps import TipCaps
 from armctl.plan.motion.sections import Section, is_limited, pause, within_sections
 from armctl.plan.motion.timing.path_timing import time_optimal, times_at
+from armctl.plan.motion.tip_lines import tip_lines
 from armctl.plan.motion.torque_limits import within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, joined
 from armctl.plan.motion.trajectory.limit_check import check_limits, is_inside
@@ -90,7 +92,7 @@ PATH_DEFAULTS: dict[str, object] = {"speed": 1.0, "tip_speed": None, "tip_angula
 
 @with_options(PathOptions, PATH_DEFAULTS)
 def move_l(
-    arm: Arm, q_start: Pose | Setpoint | ArrayLike, target: Pose | ArrayLike, **options: Unpack[PathOptions]
+    arm: Arm, q_start: Pose | Setpoint | ArrayLike, target: Pose | ArrayLike | TipTargets, **options: Unpack[PathOptions]
 ) -> JointTrajectory:
     """The fastest motion of the tip on a straight line, to rest at its end; its orientation rotates about one axis.
 
@@ -100,7 +102,8 @@ def move_l(
     Args:
         q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves; or the pose of the tip at the start:
             then the branch with the shortest motion is chosen.
-        target: T_world_tip at the end, or (3,) m with the orientation left free.
+        target: T_world_tip at the end, or (3,) m with the orientation left free; or targets by tip, of an arm with several:
+            each tip moves on a line of its own, all are on the way together, and the speeds of tips are limits of each.
         **options: `speed`, `tip_speed`, `tip_angular_speed` and `duration`, as in `PathOptions`.
 
     Raises:
@@ -109,6 +112,10 @@ def move_l(
         PlanError: The line leaves the reach or the joint limits, a motor cannot hold the arm on it, or the duration is
             too short.
     """
+    if isinstance(target, Mapping):
+        _require_known("move_l", options)
+        plan = partial(tip_lines, arm, targets=target, options=options)
+        return planned_from(arm, q_start, plan, read_duration(options.get("duration")))
     return _planned(arm, q_start, _Request("move_l", [Line(target)]), options)
 
 

@@ -19,20 +19,16 @@ from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.path.joint_path import JointPath
 from armctl.plan.motion.path.path_segments import Turn
 from armctl.plan.motion.path.region_path import RegionPath, joint_path_through, nominal_poses, region_path
-from armctl.plan.motion.path.tip_caps import TipCaps
-from armctl.plan.motion.timing.otg import slowed_to_bounds
-from armctl.plan.motion.timing.path_timing import time_optimal
-from armctl.plan.motion.torque_limits import within_torque
+from armctl.plan.motion.timed_along import timed_along
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.limit_check import is_inside
-from armctl.plan.motion.trajectory.piecewise import joints_of, standing
+from armctl.plan.motion.trajectory.piecewise import standing
 
 ToolPoints = Any  # Region | Sequence[Pose] | ArrayLike: the type ArrayLike includes Sequence
 _MAX_POINTS = 20_000
 _MAX_GAP_M = 0.01  # between two points: farther ones are joined by a line
 _MAX_GAP_RAD = 0.05
 _LIMIT_ROOM = 1e-4  # of the range of a joint
-_FINENESS = 2
 _CROSSING = 0.75  # of the spacing: two parts of a path that cross at right angles have points nearer than 0.71 of it
 _APART = 10  # points, between two that may be near each other
 
@@ -70,7 +66,7 @@ def tool_path(
 def _motion(arm: Arm, planning: Arm, regions: RegionPath, q: Array, options: Mapping[str, Any]) -> JointTrajectory:
     if len(q) == 1:
         return JointTrajectory(*standing(q[0]), arm.joint_names, arm.limits, units=arm.units)
-    return _timed(arm, planning, _joint_path(regions.lengths, q), options)
+    return timed_along(arm, planning, _joint_path(regions.lengths, q), options)
 
 
 def _dense(parts: list[RegionPart]) -> tuple[list[RegionPart], IntArray]:
@@ -156,13 +152,3 @@ def _joint_path(lengths: Array, q: Array) -> JointPath:
         lengths = shares
         degree = 5
     return JointPath(make_interp_spline(lengths, q, k=degree), float(lengths[-1]))
-
-
-def _timed(arm: Arm, planning: Arm, path: JointPath, options: Mapping[str, Any]) -> JointTrajectory:
-    limits = planning.limits
-    speed = options.get("speed", 1.0)
-    caps = TipCaps.from_path(arm, path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
-    pieces = time_optimal(path, limits, caps, fineness=_FINENESS)
-    free = slowed_to_bounds(joints_of(pieces), (limits.v_max, limits.a_max, limits.j_max))
-    motion = within_torque(arm, JointTrajectory(*free, arm.joint_names, arm.limits, units=arm.units))
-    return motion if caps is None else caps.kept(motion)

@@ -50,6 +50,7 @@ from armctl.run.execution.move import (
     plan_free,
     plan_into,
     plan_lasting,
+    plan_lines_by_tip,
     plan_move,
     plan_to,
 )
@@ -246,11 +247,12 @@ class Commands:
         return self._move(goal, partial(plan_lasting, self.arm, plan, read_duration(duration)))
 
     @_shows_options
-    def move_l(self, target: TargetLike, **options: Unpack[PathMoveOptions]) -> MoveResult:
+    def move_l(self, target: TargetLike | TipTargets, **options: Unpack[PathMoveOptions]) -> MoveResult:
         """Moves the tip to a target on a straight line.
 
         Args:
-            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
+            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances; or targets by tip, of an
+                arm with several: each tip moves on a line of its own.
             **options: `speed`, `tip_speed`, `tip_angular_speed`, `duration`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Returns:
@@ -260,6 +262,8 @@ class Commands:
         Raises:
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
+        if isinstance(target, Mapping):
+            return self._move_tips_along(target, **options)
         check_one_tip(self.arm)
         goal = Target.read(target)
         end = goal.position if goal.pose is None else goal.pose
@@ -430,6 +434,16 @@ class Commands:
         checker = self._checker(avoid, allow)
         planner = partial(planner, **speeds)
         return self._move(goal, partial(plan_move, self.arm, goal, planner, ends_at_target=ends_at_target, checker=checker))
+
+    def _move_tips_along(
+        self, targets: TipTargets, *, avoid: bool = True, allow: Iterable[tuple[str, str]] = (), **speeds: Unpack[PathOptions]
+    ) -> MoveResult:
+        read_tasks(self.arm, targets, None)  # wrong targets are an error before anything moves
+        checker = self._checker(avoid, allow)
+        arm = self._loaded_arm
+        planner = partial(move_l, arm, self._start, targets, **speeds)
+        plan = partial(plan_lines_by_tip, arm, targets, self._start, planner, checker)
+        return self._controlled.move(self._controlled.planned(Target.read(self.tip), plan))
 
     def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
         """What a move must not touch, where everything is now; None if it may touch anything."""

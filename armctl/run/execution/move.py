@@ -147,12 +147,27 @@ def plan_by_tip(arm: Arm, targets: TipTargets, q_start: Array, speed: float, spa
             motion = move_j(arm, q_start, np.where(rests, q_start, solution.q), speed=speed)
     except (PlanError, ModelError) as error:
         return replace(move, refusal=str(error))
-    end = motion(motion.duration).q
+    left_out = () if space is None else space.checker.left_out
+    return _to_tips(PlannedMove(move.target, motion, clearance=clearance, left_out=left_out), arm, goals, q_start)
+
+
+def plan_lines_by_tip(
+    arm: Arm, targets: TipTargets, q_start: Array, planner: Callable[[], JointTrajectory], checker: CollisionChecker | None
+) -> PlannedMove:
+    """A move of several tips on lines to their targets by a planner, as `plan_move`."""
+    return _to_tips(plan_move(arm, Target.read(arm.fk(q_start)), planner, checker=checker), arm, targets, q_start)
+
+
+def _to_tips(move: PlannedMove, arm: Arm, targets: TipTargets, q_start: Array) -> PlannedMove:
+    """A move with targets by tip: those that were given, and where tips end that stay, are relative or look."""
+    if move.trajectory is None:
+        return move
+    end = move.trajectory(move.trajectory.duration).q
+    goals = targets_by_tip(targets, {tip: arm.fk(q_start, tip) for tip in arm.tips})
     planned = {tip: Target.read(arm.fk(end, tip)) for tip in (arm.tip, *goals)}
     given = {tip: Target.read(target) for tip, target in goals.items() if not isinstance(target, (RelativeTo, LookAt, Stay))}
     tips = planned | given
-    left_out = () if space is None else space.checker.left_out
-    return PlannedMove(tips[arm.tip], motion, clearance=clearance, left_out=left_out, tip_targets=tips)
+    return replace(move, target=tips[arm.tip], tip_targets=tips)
 
 
 def plan_free(

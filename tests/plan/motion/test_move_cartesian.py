@@ -186,8 +186,8 @@ def test_the_tip_speed_of_a_slow_line_is_checked_at_no_more_places_than_that_of_
     places = []
     twists = TipCaps._twists
     monkeypatch.setattr(TipCaps, "_twists", lambda caps, q, v: places.append(len(q)) or twists(caps, q, v))
-    fast = TipCaps(bundled, None, linear=1e-3, angular=np.inf).overshoot(line.pieces).max()
-    slow = TipCaps(bundled, None, linear=1e-6, angular=np.inf).overshoot(line.scaled(1e-3).pieces).max()
+    fast = TipCaps(bundled, None, (bundled.tip,), linear=1e-3, angular=np.inf).overshoot(line.pieces).max()
+    slow = TipCaps(bundled, None, (bundled.tip,), linear=1e-6, angular=np.inf).overshoot(line.scaled(1e-3).pieces).max()
     assert slow == pytest.approx(fast, rel=1e-8)
     assert fast > 1
     assert places[1] == places[0]

@@ -74,6 +74,10 @@ class Straight:
         share = s / self.length
         return PathPoint(self._start + share * self._way, self._turn.at(share), self._change / self.length)
 
+    def pose_at(self, share: float) -> tuple[Array, Array]:
+        """The position (3,), m, and the orientation (3, 3) at a share of the way, 0 to 1; also of a line without length."""
+        return self._start + share * self._way, self._turn.at(share)
+
 
 class Circle:
     """An arc by an angle, rad, from a point (3,) m around a center (3,) m and an axis (3,), with a turn along it."""

@@ -23,31 +23,38 @@ _MAX_PART_TRAVEL = 0.01  # rad (m), of all joints together
 
 @dataclass(frozen=True, eq=False)
 class TipCaps:
-    """The greatest speeds of the tip along a path of the joints."""
+    """The greatest speeds of the tips along a path of the joints."""
 
     arm: Arm
     path: Path  # the path of its joints
+    tips: tuple[str, ...]
     linear: float  # m/s, of its point
     angular: float  # rad/s, of its turning
 
     @classmethod
     def from_path(
-        cls, arm: Arm, path: Path, speed: float, tip_speed: float | None, tip_angular_speed: float | None
+        cls,
+        arm: Arm,
+        path: Path,
+        speed: float,
+        tip_speed: float | None,
+        tip_angular_speed: float | None,
+        tips: tuple[str, ...] | None = None,
     ) -> TipCaps | None:
-        """The caps at a fraction of the full speed; None if there are none."""
+        """The caps at a fraction of the full speed, of the first tip unless others are named; None if there are none."""
         if tip_speed is None and tip_angular_speed is None:
             return None
         linear = np.inf if tip_speed is None else speed * number("tip_speed", tip_speed, 1e-6)
         angular = np.inf if tip_angular_speed is None else speed * number("tip_angular_speed", tip_angular_speed, 1e-6)
-        return cls(arm=arm, path=path, linear=linear, angular=angular)
+        return cls(arm=arm, path=path, tips=tips or (arm.tip,), linear=linear, angular=angular)
 
     def at(self, s: Array) -> Array:
         """(T,) m/s, the greatest speeds along the path at lengths (T,)."""
         twists = self._twists(*self.path.derivatives(s)[:2])
         with np.errstate(divide="ignore"):
-            linear = self.linear / np.linalg.norm(twists[:, :3], axis=1)
-            angular = self.angular / np.linalg.norm(twists[:, 3:], axis=1)
-        return np.minimum(linear, angular)
+            linear = self.linear / np.linalg.norm(twists[:, :, :3], axis=2)
+            angular = self.angular / np.linalg.norm(twists[:, :, 3:], axis=2)
+        return np.minimum(linear, angular).min(axis=0)
 
     def acceleration_at(self, s: Array) -> Array:
         """The caps leave the acceleration limits as they are: (T,) ones."""
@@ -74,17 +81,28 @@ class TipCaps:
         v = np.einsum("tc,tcn->tn", basis[1], joints[k])
         twists = self._twists(q, v)
         used = np.column_stack(
-            [(twists[:, :3] ** 2).sum(axis=1) / self.linear**2, (twists[:, 3:] ** 2).sum(axis=1) / self.angular**2]
+            [
+                (each**2).sum(axis=1) / cap**2
+                for tip in twists
+                for each, cap in ((tip[:, :3], self.linear), (tip[:, 3:], self.angular))
+            ]
         )
-        powers = np.asarray(np.linalg.inv(np.vander(x, increasing=True)) @ used.reshape(len(piece), _DEGREE + 1, 2), np.float64)
-        one = np.ones(2)
+        width = used.shape[1]
+        powers = np.asarray(
+            np.linalg.inv(np.vander(x, increasing=True)) @ used.reshape(len(piece), _DEGREE + 1, width), np.float64
+        )
+        one = np.ones(width)
         squared = 1 + limit_excess(powers, np.ones(len(piece)), 0, -np.inf * one, one).max(axis=1)
         return np.sqrt(np.maximum(np.maximum.reduceat(squared, first), 0.0))
 
     def _twists(self, q: Array, v: Array) -> Array:
-        """(T, 6) linear and angular speed of the tip."""
-        twists = np.empty((len(q), 6))
-        _core.tip_twists(self.arm.core_model, np.ascontiguousarray(q), np.ascontiguousarray(v), twists)
+        """(K, T, 6) linear and angular speed of each of the K tips."""
+        twists = np.empty((len(self.tips), len(q), 6))
+        for tip, rows in zip(self.tips, twists, strict=True):
+            if tip == self.arm.tip:
+                _core.tip_twists(self.arm.core_model, np.ascontiguousarray(q), np.ascontiguousarray(v), rows)
+            else:
+                rows[:] = [self.arm.jacobian(each, tip) @ speeds for each, speeds in zip(q, v, strict=True)]
         return twists
 
     def kept(self, motion: JointTrajectory) -> JointTrajectory:
