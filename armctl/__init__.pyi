@@ -169,9 +169,9 @@ from .report.render.video import still as still
 from .report.report import Report as Report
 from .report.report import table as table
 from .run import links as links
-from .run.execution.commands import PathMoveOptions as PathMoveOptions
 from .run.execution.contact_reaction import ContactReaction as ContactReaction
 from .run.execution.follow import StreamRun as StreamRun
+from .run.execution.path_move_options import PathMoveOptions as PathMoveOptions
 from .run.lerobot_arm import LeRobotArm as LeRobotArm
 from .run.links.dry_run import DryRun as DryRun
 from .run.links.envelope import Envelope as Envelope

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from armctl.core.validation import Array, matrix, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import checkable
-from armctl.model.collision.world_snapshot import WorldLike, WorldSnapshot, read_world
+from armctl.model.collision.world_snapshot import WorldLike, read_world
 from armctl.plan.ik.differential import DifferentialIk
 from armctl.plan.ik.region import Region
 from armctl.plan.ik.solve import solve_ik
@@ -30,6 +31,13 @@ from armctl.plan.stream.committed_motion import LIVE_CLEARANCE_M
 from armctl.plan.stream.refusal import Refusal, contact_refusal
 from armctl.plan.stream.stream import MAX_AHEAD_S, MAX_TARGETS
 from armctl.plan.stream.twist import twist_targets
+
+
+class GateScene(NamedTuple):
+    """What a gate looks at."""
+
+    arm: Arm  # with what it carries
+    checker: CollisionChecker  # of what it must not touch
 
 
 class Gate:
@@ -69,22 +77,27 @@ class Gate:
         self.arm = planning_arm(arm, number("speed", speed, 1e-3, 1.0))
         self.clearance = number("clearance", clearance, 0.0)
         self._world = world
-        self._checker_in(read_world(world))
+        self._scene()
 
     @cached_property
     def _ik(self) -> DifferentialIk:
         """Made at its first use, because its imports take long."""
         return DifferentialIk(self.arm)
 
-    def _checker_in(self, world: WorldSnapshot | None) -> CollisionChecker:
-        """The checker in a snapshot of the world."""
-        checker = checkable(self.arm, world)
-        checker.require_provable()
-        return checker
+    def _look(self) -> GateScene:
+        """What is around the arm now."""
+        world = read_world(self._world)
+        return GateScene(self.arm if world is None else world.loaded_arm(self.arm), checkable(self.arm, world))
+
+    def _scene(self) -> GateScene:
+        """What is around the arm now, in which motions can be proved."""
+        scene = self._look()
+        scene.checker.require_provable()
+        return scene
 
     def refusal(self, pieces: Pieces) -> str:
         """Why a motion, given as polynomials from now on, is not proved clear; empty if it is. For `Stream(refusal=...)`."""
-        refused = contact_refusal(self._checker_in(read_world(self._world)), pieces, self.clearance)
+        refused = contact_refusal(self._scene().checker, pieces, self.clearance)
         return "" if refused is None else refused.reason
 
     def admit(
@@ -129,9 +142,7 @@ class Gate:
         if running is None and not what:
             raise InputError("admit: nothing is asked for; give one of q, tip and twist, or a motion as the state")
         start = start_state(self.arm, state if running is None else _first(running))  # type: ignore[arg-type]
-        world = read_world(self._world)
-        arm = self.arm if world is None else world.loaded_arm(self.arm)
-        admission = Admission(arm, self._checker_in(world), self.clearance, start, running)
+        admission = Admission(*self._scene(), self.clearance, start, running)
         if admission.blocked is not None:
             return admission.refused(admission.blocked, start.q)
         if twist is not None:

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from armctl.control.interface import State
 from armctl.core.errors import InputError
-from armctl.core.faces import with_options
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
@@ -27,8 +26,8 @@ from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.plan.ik.region import Region
 from armctl.plan.ik.tree_problem import read_tasks
 from armctl.plan.motion.checks import read_duration
+from armctl.plan.motion.move_back import move_back
 from armctl.plan.motion.move_cartesian import (
-    PATH_DEFAULTS,
     Arc,
     Line,
     PathOptions,
@@ -42,6 +41,8 @@ from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.move_free import FreeSpace
+from armctl.plan.stream.gate import Gate, GateScene
+from armctl.run.execution.arm_gate import ArmGate
 from armctl.run.execution.arm_world import ArmWorld
 from armctl.run.execution.move import (
     ControlledArm,
@@ -55,25 +56,11 @@ from armctl.run.execution.move import (
     plan_to,
 )
 from armctl.run.execution.obstacles import Obstacles
+from armctl.run.execution.path_move_options import PathMoveOptions, shows_options
 
 if TYPE_CHECKING:
     from armctl.report.render.video import Film
     from armctl.run.execution.follow import StreamRun
-
-
-class PathMoveOptions(PathOptions, total=False):
-    """Options of `Simulation.move_l`, `move_c` and `move_path`, besides those of `PathOptions`.
-
-    Attributes:
-        avoid: Whether a motion that would touch something is refused; True if left out.
-        allow: Pairs of names of bodies or geoms that may touch; none if left out.
-    """
-
-    avoid: bool
-    allow: Iterable[tuple[str, str]]
-
-
-_shows_options = with_options(PathMoveOptions, {**PATH_DEFAULTS, "avoid": True, "allow": ()})
 
 
 class Commands:
@@ -246,7 +233,7 @@ class Commands:
 
         return self._move(goal, partial(plan_lasting, self.arm, plan, read_duration(duration)))
 
-    @_shows_options
+    @shows_options
     def move_l(self, target: TargetLike | TipTargets, **options: Unpack[PathMoveOptions]) -> MoveResult:
         """Moves the tip to a target on a straight line.
 
@@ -269,7 +256,7 @@ class Commands:
         end = goal.position if goal.pose is None else goal.pose
         return self._move_along(goal, partial(move_l, self._loaded_arm, self._start, end), **options)
 
-    @_shows_options
+    @shows_options
     def move_c(
         self, via: Pose | ArrayLike, target: TargetLike, *, angle: float | None = None, **options: Unpack[PathMoveOptions]
     ) -> MoveResult:
@@ -291,7 +278,7 @@ class Commands:
         planner = partial(move_c, self._loaded_arm, self._start, via, end, angle=angle)
         return self._move_along(goal, planner, ends_at_target=angle is None, **options)
 
-    @_shows_options
+    @shows_options
     def move_path(
         self,
         path: Sequence[Line | Arc | Pose | ArrayLike] | Region | ArrayLike,
@@ -327,6 +314,47 @@ class Commands:
         ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
         planner = partial(move_path, self._loaded_arm, self._start, parts, blend=blend)
         return self._move_along(Target.read(last.target), planner, ends_at_target=ends_at_target, **options)
+
+    def move_back(
+        self, log: Log | None = None, *, speed: float = 1.0, avoid: bool = True, allow: Iterable[tuple[str, str]] = ()
+    ) -> MoveResult:
+        """Moves the joints back along the path of the last run, to where it began.
+
+        Args:
+            log: The run; it ended where the arm is. The last one if left out, so that a second call goes forward again.
+            speed: Fraction of the speed of that run, in (0, 1].
+            avoid: Whether the way back is refused if it touches anything, where everything is now.
+            allow: Pairs of names of bodies or geoms that may touch.
+
+        Returns:
+            The result, measured at the tip.
+
+        Raises:
+            InputError: Nothing has run yet, or the run is one of another arm, has no reference, or ended elsewhere.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        run = self.log if log is None else log
+        if run is None:
+            raise InputError("log: nothing has run yet, so there is no way back; move first")
+        planner = partial(move_back, self._loaded_arm, run, self._start)
+        return self._move_along(Target.read(self.tip), planner, ends_at_target=False, speed=speed, avoid=avoid, allow=allow)
+
+    def gate(self, *, speed: float = 1.0, clearance: float = 0.0) -> Gate:
+        """A gate in front of this arm, for what a policy or a program wants: it looks where everything is at each call.
+
+        Args:
+            speed: Factor on the limits, in (0, 1].
+            clearance: m, that a motion keeps.
+
+        Raises:
+            InputError: A number out of its bounds.
+            ModelError: A link has no collision shape, or the scene has a height field that the arm could touch.
+
+        Example:
+            >>> answer = sim.gate().admit(sim.state.q, q=sim.arm.home)
+            >>> sim.run(answer.motion)
+        """
+        return ArmGate(self.arm, self._scene, speed=speed, clearance=clearance)
 
     def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, duration: float = 10.0) -> Log:
         """Follows a moving target: reads it 50 times per second, and respects all joint limits.
@@ -450,6 +478,9 @@ class Commands:
         if not flag("avoid", avoid):
             return None
         return self._obstacles.checker(allow, self._held)
+
+    def _scene(self) -> GateScene:
+        return GateScene(self._loaded_arm, self._obstacles.checker((), self._held))
 
     @property
     def _loaded_arm(self) -> Arm:

@@ -52,6 +52,7 @@ class LinkDrive:
         # Takes each reading, the command at that time, (n,) rad each, and the robot's state in words; it must not wait
         self.observer: Callable[[Array, Array, str], None] | None = None
         self.reaction: ContactReaction | None = None  # detects contacts while it is set; the arm stops at one
+        self.interlock: Callable[[], str] | None = None  # says why the arm must not move now; empty if it may
         self.time_at_contact = 0.0  # s of the motion, until a contact was detected in it
         self._arm = arm
         self._host = host
@@ -123,7 +124,7 @@ class LinkDrive:
         recorder.has_begun = True
         self._recorder = recorder
         motion = self._motion_along(reference) if to_rest is None else to_rest
-        self.failure = self.refusal(motion)
+        self.failure = self._interlocked() or self.refusal(motion)
         if not self.failure:
             try:
                 self._play(motion, len(reference.q), recorder)
@@ -214,7 +215,7 @@ class LinkDrive:
     def _wait_for(self, tick: int) -> None:
         """Mirrors and records until a row was played, or the stream has ended."""
         while (stream := self._stream.current) is not None and stream.tick < tick:
-            self._stream.let_pass(stream, tick, in_steps=self.reaction is not None)
+            self._stream.let_pass(stream, tick, in_steps=self.reaction is not None or self.interlock is not None)
             self._watch()
 
     def _watch(self) -> None:
@@ -228,12 +229,23 @@ class LinkDrive:
             self._mirror.show(readings.t[k], readings.q[k], readings.v[k])
         if stream is not None and self.reaction is not None and len(readings.tick) and not self._has_contact:
             self._detect_contact(self.reaction, stream, readings)
+        if self._stream.current is not None and not progress.stopped and (reason := self._interlocked()):
+            self._stream.stop(reason)
         if progress.fault:
             self._lose(progress.fault)
         elif progress.stopped and not self.failure:
             self.failure = progress.stopped
         if self.observer is not None and len(readings.sent):
             self.observer(readings.q[-1], readings.sent[-1], self.fault or f"t = {self.data.time:.1f} s")
+
+    def _interlocked(self) -> str:
+        """Why the arm must not move now; empty if it may."""
+        if self.interlock is None:
+            return ""
+        try:
+            return str(self.interlock())
+        except Exception as error:  # of a caller's function: an arm that nobody can hold back does not move
+            return f"the interlock failed ({type(error).__name__}: {error!s:.120})"
 
     @property
     def _has_contact(self) -> bool:

@@ -21,7 +21,7 @@ from armctl.core.log import Log
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import flag, number
+from armctl.core.validation import flag, number, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker, why_not_checkable
 from armctl.model.loading.load import load
@@ -179,6 +179,21 @@ class Robot(Commands):
     def fault(self) -> str:
         """Why the robot takes no motion until `recover`; empty if it does."""
         return self._drive.fault
+
+    @property
+    def interlock(self) -> Callable[[], str] | None:
+        """A function that returns why the arm must not move now, or an empty text if it may; None for none.
+
+        It is asked before every motion, and on it every few milliseconds: the arm brakes on its path as soon as there is a
+        reason, with which the command ends. It must not wait. A function that fails is a reason. It is no safety function.
+        """
+        return self._drive.interlock
+
+    @interlock.setter
+    def interlock(self, interlock: Callable[[], str] | None) -> None:
+        if interlock is not None and not callable(interlock):
+            raise InputError(f"interlock: expected a function without arguments that returns a text, got {shown(interlock)}")
+        self._drive.interlock = interlock
 
     def recover(self) -> None:
         """Clears a fault, once you have reading that the robot may move again. Nothing does that by itself.
