@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from armctl.core import units
 from armctl.core.errors import InputError
 from armctl.core.log import Log
-from armctl.core.plotting import COLORS, STYLE, finish_figure
+from armctl.core.plotting import COLORS, STYLE, AxesLayout, draw_axes, finish_axes
 from armctl.core.target import TOLERANCE
-from armctl.core.validation import Array, instance, shown
+from armctl.core.validation import Array, flag, instance, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
 _PANELS_SIZE_INCHES = (10.0, 7.0)
 _OVERLAY_SIZE_INCHES = (8.0, 6.0)
+_OVERLAY_LAYOUT = AxesLayout(legend_columns=4, height_ratios=(3.0, 2.0))
 _MIN_TIP_ERROR_SHOWN_M = 1e-9  # the axis is logarithmic
 
 
@@ -33,6 +34,7 @@ def four_panels(
     *,
     size: tuple[float, float] | None = None,
     title: bool = True,
+    ax: Sequence[Axes] | None = None,
 ) -> Path | None:
     """Draws joint positions, joint velocities, motor torques and the tip's position over time, in four panels.
 
@@ -42,22 +44,23 @@ def four_panels(
         path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window opens.
         size: Width and height in inches.
         title: Whether arm and controller stand above the panels; False where a caption says it.
+        ax: Four axes of matplotlib to draw into instead, row by row.
 
     Raises:
-        InputError: The log is empty, or the path has another file extension.
+        InputError: The log is empty, the path has another file extension, or the axes are not four.
         ArmctlError: The file cannot be written.
         NotInstalledError: There is no screen for a window.
     """
     _check([log])
 
-    def draw(figure: Figure) -> None:
-        axes = figure.subplots(2, 2, sharex=True)
-        _lines(axes[0, 0], log.t, log.q, log.q_ref)
-        _lines(axes[0, 1], log.t, log.v, log.v_ref)
-        _lines(axes[1, 0], log.t, log.tau)
-        _torque_limits(axes[1, 0], log)
-        _lines(axes[1, 1], log.t, log.tip, log.tip_ref, names=("x", "y", "z"))
-        _target(axes[1, 1], log)
+    def draw(axes: list[Axes]) -> None:
+        position, velocity, torque, tip = axes
+        _lines(position, log.t, log.q, log.q_ref, names=log.joint_names)
+        _lines(velocity, log.t, log.v, log.v_ref)
+        _lines(torque, log.t, log.tau)
+        _torque_limits(torque, log)
+        _lines(tip, log.t, log.tip, log.tip_ref, names=("x", "y", "z"))
+        _target(tip, log)
         dashed = "" if log.is_open_loop else "; dashed: reference"
         titles = (
             f"joint {'position' if 'm' in log.units else 'angle'}, {units.label(log.units)}{dashed}",
@@ -65,18 +68,15 @@ def four_panels(
             f"motor torque, {units.label(units.of_torque(log.units))}",
             f"tip position, m{dashed}",
         )
-        for ax, above in zip(axes.flat, titles, strict=True):
-            ax.set_title(above)
-        for ax in axes[1]:
-            ax.set_xlabel("time, s")
-        handles = axes[0, 0].get_lines()[: len(log.joint_names)]
-        figure.legend(handles, log.joint_names, loc="outside lower center", ncols=min(len(handles), 8))
-        axes[1, 1].legend(loc="best")
-        if title:
-            headline = f"{log.robot}, {log.controller}" + (f": {log.failure}" if log.failure else "")
-            figure.suptitle(headline, fontweight="bold", x=0.01, ha="left")
+        for panel, above in zip(axes, titles, strict=True):
+            panel.set_title(above)
+        for panel in (torque, tip):
+            panel.set_xlabel("time, s")
+        tip.legend(loc="best")
 
-    return finish_figure(draw, size or _PANELS_SIZE_INCHES, path)
+    headline = f"{log.robot}, {log.controller}" + (f": {log.failure}" if log.failure else "")
+    layout = AxesLayout(title=headline if flag("title", title) else "", legend_columns=8)
+    return finish_axes(draw, (2, 2), size or _PANELS_SIZE_INCHES, path, ax, layout)
 
 
 def overlay(
@@ -85,6 +85,7 @@ def overlay(
     *,
     labels: Sequence[str] | None = None,
     size: tuple[float, float] | None = None,
+    ax: Sequence[Axes] | None = None,
 ) -> Path | None:
     """Draws several runs over each other: the tracking error of the tip, and the torque nearest to its limit.
 
@@ -93,15 +94,18 @@ def overlay(
         path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window opens.
         labels: One per run; the names of their controllers if left out.
         size: Width and height in inches.
+        ax: Two axes of matplotlib to draw into instead.
 
     Raises:
-        InputError: A log is empty or without a reference, there is none, the number of labels differs, or the path has another
-            ending.
+        InputError: A log is empty or without a reference, there is none, the number of labels differs, the path has another
+            ending, or the axes are not two.
         ArmctlError: The file cannot be written.
         NotInstalledError: There is no screen for a window.
     """
     _check_overlay(logs, labels)
-    return finish_figure(lambda figure: draw_overlay(figure, logs, labels), size or _OVERLAY_SIZE_INCHES, path)
+    return finish_axes(
+        lambda axes: _draw_overlay(axes, logs, labels), (2, 1), size or _OVERLAY_SIZE_INCHES, path, ax, _OVERLAY_LAYOUT
+    )
 
 
 def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> NDArray[np.uint8]:
@@ -121,8 +125,12 @@ def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> N
 
 def draw_overlay(figure: Figure, logs: Sequence[Log], labels: Sequence[str] | None = None) -> None:
     """Draws `overlay` into a figure of matplotlib."""
+    draw_axes(figure, lambda axes: _draw_overlay(axes, logs, labels), (2, 1), _OVERLAY_LAYOUT)
+
+
+def _draw_overlay(axes: list[Axes], logs: Sequence[Log], labels: Sequence[str] | None) -> None:
     labels = [log.controller for log in logs] if labels is None else labels
-    error, load = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    error, load = axes
     for i, (log, label) in enumerate(zip(logs, labels, strict=True)):
         color = COLORS[i % len(COLORS)]
         error.semilogy(log.t, np.maximum(_tip_error(log), _MIN_TIP_ERROR_SHOWN_M) * 1e3, color=color, label=label)
@@ -137,7 +145,6 @@ def draw_overlay(figure: Figure, logs: Sequence[Log], labels: Sequence[str] | No
     smallest = min(float(np.median(_tip_error(log))) for log in logs)
     error.set_ylim(bottom=1e3 * max(smallest / 10, _MIN_TIP_ERROR_SHOWN_M / 3))
     error.yaxis.set_major_formatter("{x:g}")
-    figure.legend(loc="outside lower center", ncols=min(len(logs), 4))
 
 
 def _check(logs: Sequence[Log]) -> None:
@@ -163,7 +170,7 @@ def _check_overlay(logs: Sequence[Log], labels: Sequence[str] | None) -> None:
         raise InputError(f"labels: expected {len(logs)}, got {len(labels)}; one for each log")
 
 
-def _lines(ax: Axes, t: Array, values: Array, reference: Array | None = None, names: tuple[str, ...] | None = None) -> None:
+def _lines(ax: Axes, t: Array, values: Array, reference: Array | None = None, names: Sequence[str] | None = None) -> None:
     """One line per column, with its reference dashed."""
     for i, column in enumerate(values.T):
         ax.plot(t, column, color=COLORS[i % len(COLORS)], label=names[i] if names else None)

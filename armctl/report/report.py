@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
 from armctl.report.plot import four_panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _MAX_CONTACTS_SHOWN = 3
 _MIN_JOINT_ERROR_SHOWN = 1e-15
@@ -170,7 +173,12 @@ class Report(Verdict):
         return json_value(figures)
 
     def plot(
-        self, path: str | os.PathLike[str] | None = None, *, size: tuple[float, float] | None = None, title: bool = True
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        size: tuple[float, float] | None = None,
+        title: bool = True,
+        ax: Sequence[Axes] | None = None,
     ) -> Path | None:
         """Draws joint angles, velocities, torques with their limits, and the tip, over time.
 
@@ -178,8 +186,9 @@ class Report(Verdict):
             path: The picture, .png, .svg or .pdf; its folder is made. Left out, a window opens.
             size: Width and height in inches.
             title: Whether arm and controller stand above the panels; False where a caption says it.
+            ax: Four axes of matplotlib to draw into instead, row by row.
         """
-        return four_panels(self.log, path, size=size, title=title)
+        return four_panels(self.log, path, size=size, title=title, ax=ax)
 
     def _rows(self) -> dict[str, str]:
         torque_unit = units.label(units.of_torque(self.log.units))

@@ -1,10 +1,11 @@
 """Objects show themselves in a few lines, and signatures show every argument."""
 
 import inspect
+from functools import partial
 
 import numpy as np
 import pytest
-from arms import arm_of
+from arms import arm_of, some_of
 
 import armctl
 from armctl.control import CONTROLLERS
@@ -173,6 +174,67 @@ def test_a_figure_for_a_paper_has_no_title_inside(arm, tmp_path):
         assert 'width="432pt"' in text  # 6 inches
     small = armctl.overlay([sim.log], tmp_path / "overlay.svg", size=(3.0, 3.0)).read_text()
     assert 'width="216pt"' in small
+
+
+# Every public plot, which a function of an arm and of the result of a study makes, and the number of its axes.
+PLOTS = {
+    "motion": (lambda arm, _: armctl.move_j(arm, arm.home, arm.home + 0.1).plot, 4),
+    "reachability": (lambda arm, _: armctl.reachability(arm, spacing=0.3, orientations=0).plot, 3),
+    "quantiles": (lambda _, finished: finished.plot_quantiles, 1),
+    "tornado": (lambda _, finished: finished.plot_tornado, 2),
+    "success": (lambda _, finished: finished.plot_success, 2),
+    "response": (lambda arm, _: armctl.frequency_response(arm, "pd", arm.home, 0).plot, 2),
+    "report": (lambda arm, _: armctl.Report.from_log(moved(arm)).plot, 4),
+    "four panels": (lambda arm, _: partial(armctl.four_panels, moved(arm)), 4),
+    "overlay": (lambda arm, _: partial(armctl.overlay, [moved(arm)]), 2),
+    "loop": (lambda arm, _: armctl.linearize(arm, "pd", arm.home).plot, 6),
+    "bode": (lambda arm, _: armctl.linearize(arm, "pd", arm.home).bode().plot, 2),
+    "nyquist": (lambda arm, _: armctl.linearize(arm, "pd", arm.home).nyquist().plot, 1),
+    "step": (lambda arm, _: armctl.linearize(arm, "pd", arm.home).step_response().plot, 1),
+}
+
+
+def moved(arm: armctl.Arm) -> armctl.Log:
+    sim = armctl.Simulation(arm, "pd")
+    sim.move_to(arm.fk(arm.home + 0.1).position)
+    assert sim.log is not None
+    return sim.log
+
+
+@pytest.mark.parametrize("name", some_of(PLOTS, {"motion", "reachability", "tornado", "response"}, full=PLOTS))
+def test_every_plot_has_a_size_and_fonts_for_papers_and_takes_axes(arm, finished, name, tmp_path):
+    from matplotlib.figure import Figure
+
+    make, count = PLOTS[name]
+    plot = make(arm, finished)
+    plot(tmp_path / "figure.svg", size=(6.0, 4.0))
+    text = (tmp_path / "figure.svg").read_text()
+    assert 'width="432pt"' in text  # 6 inches
+    assert "<text" in text
+    plot(tmp_path / "figure.pdf")
+    pdf = (tmp_path / "figure.pdf").read_bytes()
+    assert b"/Type3" not in pdf
+    assert b"/Subtype /Type0" in pdf
+    axes = Figure().subplots(count, 1, squeeze=False)[:, 0]
+    plot(ax=axes)
+    assert all(each.has_data() for each in axes)
+    with pytest.raises(armctl.InputError, match=f"ax: expected {count} axes of matplotlib"):
+        plot(ax=Figure().subplots(7))
+    with pytest.raises(armctl.InputError, match="path, ax: give one of them"):
+        plot(tmp_path / "other.svg", ax=axes)
+    with pytest.raises(armctl.InputError, match=r"size: expected .*got 600"):
+        plot(tmp_path / "other.svg", size=(600, 400))
+    assert not (tmp_path / "other.svg").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("response", ", sensitivity"), ("quantiles", "median, and bands"), ("tornado", "from the low")]
+)
+def test_what_a_caption_says_can_be_left_out_of_a_figure(arm, finished, name, words, tmp_path):
+    plot = PLOTS[name][0](arm, finished)
+    for title in (True, False):
+        plot(tmp_path / "figure.svg", title=title)
+        assert (words in (tmp_path / "figure.svg").read_text()) == title
 
 
 def test_a_motion_is_drawn_with_fonts_that_journals_accept(arm, tmp_path):

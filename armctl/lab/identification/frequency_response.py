@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from armctl.control.interface import Controller, ControllerWrapper, State, traits
 from armctl.core.log import Log
-from armctl.core.plotting import COLORS, finish_figure
+from armctl.core.plotting import COLORS, AxesLayout, finish_axes
 from armctl.core.result import Verdict
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, IntArray, choice, instance
+from armctl.core.validation import Array, IntArray, choice, flag, instance
 from armctl.lab.identification.arm_excitation import Excitation
 from armctl.lab.identification.multisine import MIN_FREQUENCY_HZ, MULTISINE_LINES, MULTISINE_PERIOD_S, joint_index
 from armctl.lab.identification.recorded_response import OF, bound_factor, recorded_response
@@ -30,7 +30,9 @@ from armctl.run.sim.plant import Plant, read_plant
 from armctl.run.sim.simulate import simulate
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
 
 _MEASURED_PERIODS = 6
 # Periods before these, in which the transient decays to this fraction if the limit permits.
@@ -51,6 +53,7 @@ _MAX_NONLINEAR_SHARE = 0.1
 _SIGNIFICANT_VARIANCES = 9.0  # squares of what is smaller than three standard deviations of the noise do not count
 _DETECTION_EVERY = 3  # of this many odd lines one is not excited
 _PHASE_SEED = 0  # of the phases
+_SIZE_INCHES = (9.0, 4.6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,19 +159,30 @@ class FrequencyResponse(Verdict):
         """
         return fit_two_mass(self)
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
+    def plot(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        size: tuple[float, float] | None = None,
+        title: bool = True,
+        ax: Sequence[Axes] | None = None,
+    ) -> Path | None:
         """Draws magnitude and phase, with bounds and prediction.
 
         Args:
             path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window
                 opens.
+            size: Width and height in inches.
+            title: Whether the joint's name stands above the panels; False where a caption says it.
+            ax: Two axes of matplotlib to draw into instead, for magnitude and phase.
 
         Raises:
-            InputError: The path has another ending.
+            InputError: The path has another ending, or the axes are not two.
             ArmctlError: The file cannot be written.
             NotInstalledError: There is no screen for a window.
         """
-        return finish_figure(lambda figure: _draw(figure, self), (9, 4.6), path)
+        layout = AxesLayout(title=f"{self.joint}, {self.of}" if flag("title", title) else "")
+        return finish_axes(lambda axes: _draw(axes, self), (2, 1), size or _SIZE_INCHES, path, ax, layout)
 
     def __str__(self) -> str:
         if not self.ok:
@@ -193,8 +207,8 @@ class FrequencyResponse(Verdict):
 _LABELS = {"plant": "position per torque, rad/(N m)", "closed loop": "position per reference", "sensitivity": "|S|"}
 
 
-def _draw(figure: Figure, found: FrequencyResponse) -> None:
-    magnitude, phase = figure.subplots(2, 1, sharex=True)
+def _draw(axes: list[Axes], found: FrequencyResponse) -> None:
+    magnitude, phase = axes
     hertz = found.frequency / (2 * np.pi)
     size = np.abs(found.measured)
     angle = np.unwrap(np.angle(found.measured))
@@ -212,7 +226,6 @@ def _draw(figure: Figure, found: FrequencyResponse) -> None:
     magnitude.legend()
     phase.set_title("phase, deg")
     phase.set_xlabel("frequency, Hz")
-    figure.suptitle(f"{found.joint}, {found.of}", fontweight="bold", x=0.01, ha="left")
 
 
 class Excited(ControllerWrapper):

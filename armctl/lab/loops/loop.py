@@ -7,18 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.plotting import finish_figure
-from armctl.core.validation import Array, IntArray, integer, number
+from armctl.core.plotting import finish_axes
+from armctl.core.validation import Array, IntArray, flag, integer, number
 from armctl.lab.loops.linear_loop import LoopAnalysis, by_damping
-from armctl.lab.loops.loop_figures import LOOP_SIZE_INCHES, draw_loop
+from armctl.lab.loops.loop_figures import LOOP_PANELS, LOOP_SIZE_INCHES, draw_loop_panels, loop_layout
 from armctl.lab.loops.loop_responses import StepResponse
 from armctl.lab.loops.stability import CoarseMargins, coarse_grid, coarse_margins, coarse_margins_near
 from armctl.lab.loops.state_space import ComplexArray, DelayedCascade, StateSpace, delay_transfer
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MAX_DELAY_TICKS = 200
 # A mode counts if a step of torque on a joint makes that joint ring with this share of its displacement: what rings less, as
@@ -316,7 +319,12 @@ class Loop(LoopAnalysis):
         return np.asarray(closed, dtype=np.complex128)
 
     def plot(
-        self, path: str | os.PathLike[str] | None = None, *, size: tuple[float, float] | None = None, title: bool = True
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        size: tuple[float, float] | None = None,
+        title: bool = True,
+        ax: Sequence[Axes] | None = None,
     ) -> Path | None:
         """Draws loop gain, phase, Nyquist curve, step response and sensitivity of each joint, and the compliance of the tip.
 
@@ -325,13 +333,16 @@ class Loop(LoopAnalysis):
                 opens.
             size: Width and height in inches.
             title: Whether arm, controller and plant stand above the panels; False where a caption says it.
+            ax: Six axes of matplotlib to draw into instead: loop gain, Nyquist curve, sensitivity, phase, step response and
+                compliance.
 
         Raises:
-            InputError: The path has another ending.
+            InputError: The path has another ending, or the axes are not six.
             ArmctlError: The file cannot be written.
             NotInstalledError: There is no screen for a window.
         """
-        return finish_figure(lambda figure: draw_loop(figure, self, title=title), size or LOOP_SIZE_INCHES, path)
+        layout = loop_layout(self, title=flag("title", title))
+        return finish_axes(lambda axes: draw_loop_panels(axes, self), LOOP_PANELS, size or LOOP_SIZE_INCHES, path, ax, layout)
 
 
 def _largest_displacement(A: Array, push: Array, position: Array) -> Array:

@@ -133,8 +133,7 @@ class Nyquist:
             ArmctlError: The file cannot be written.
             NotInstalledError: There is no screen for a window.
         """
-        axes = None if ax is None else [ax]
-        return finish_axes(lambda axes: draw_nyquist(axes[0], self), (1, 1), size or _NYQUIST_SIZE_INCHES, path, axes)
+        return finish_axes(lambda axes: draw_nyquist(axes[0], self), (1, 1), size or _NYQUIST_SIZE_INCHES, path, ax)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,8 +213,7 @@ class StepResponse:
             ArmctlError: The file cannot be written.
             NotInstalledError: There is no screen for a window.
         """
-        axes = None if ax is None else [ax]
-        return finish_axes(lambda axes: draw_step(axes[0], self), (1, 1), size or _STEP_SIZE_INCHES, path, axes)
+        return finish_axes(lambda axes: draw_step(axes[0], self), (1, 1), size or _STEP_SIZE_INCHES, path, ax)
 
 
 class DiskMargin(NamedTuple):

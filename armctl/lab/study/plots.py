@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from armctl.core.plotting import COLORS, finish_figure
-from armctl.core.validation import Array, BoolArray
+from armctl.core.plotting import COLORS, AxesLayout, finish_axes
+from armctl.core.validation import Array, BoolArray, flag
 from armctl.lab.study.summary import unit_of
 from armctl.run.sim.plant import PLANT_ATTRIBUTES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Columns = Mapping[str, np.ndarray]
 
@@ -27,16 +26,35 @@ _MAX_LEVELS = 12  # a factor with more values is divided into bins
 _BINS = 8  # of about equally many runs
 _BANDS = ((0.05, 0.95, 0.12), (0.25, 0.75, 0.25))  # from, to, opacity
 _FIFTH = 0.2
+_QUANTILES_SIZE_INCHES = (6.0, 4.0)
 
 
-def quantiles(
-    columns: Columns, metric: str, factor: str, labels: Sequence[str], path: str | os.PathLike[str] | None
-) -> Path | None:
+class Canvas(NamedTuple):
+    """Where to draw, as the caller says it."""
+
+    path: str | os.PathLike[str] | None
+    size: tuple[float, float] | None
+    title: bool
+    ax: Axes | Sequence[Axes] | None
+
+    def finish(
+        self,
+        draw: Callable[[list[Axes]], None],
+        shape: tuple[int, int],
+        size: tuple[float, float],
+        layout: AxesLayout,
+    ) -> Path | None:
+        """Draws into a grid of axes; `size` and the title of `layout` hold if the caller says nothing else."""
+        layout = layout if flag("title", self.title) else layout._replace(title="")
+        return finish_axes(draw, shape, self.size or size, self.path, self.ax, layout._replace(title_weight="normal"))
+
+
+def quantiles(columns: Columns, metric: str, factor: str, labels: Sequence[str], canvas: Canvas) -> Path | None:
     """Draws the median of a metric over a factor with bands. A run without a figure counts as infinite, above the picture."""
     label, scale = unit_of(metric)
 
-    def draw(figure: Figure) -> None:
-        axes = figure.subplots()
+    def draw(panels: list[Axes]) -> None:
+        axes = panels[0]
         for k, controller in enumerate(labels):
             own = columns["controller"] == controller
             centers, groups = _binned(columns[factor][own])
@@ -50,20 +68,16 @@ def quantiles(
         axes.set_xlabel(_axis(factor))
         axes.set_ylabel(label)
         axes.set_ylim(bottom=0.0)
-        figure.legend(loc="outside lower center", ncols=min(len(labels), 4))
-        figure.suptitle("median, and bands from 25 to 75 % and from 5 to 95 % of the runs", x=0.01, ha="left")
 
-    return finish_figure(draw, (6.0, 4.0), path)
+    layout = AxesLayout(title="median, and bands from 25 to 75 % and from 5 to 95 % of the runs", legend_columns=4)
+    return canvas.finish(draw, (1, 1), _QUANTILES_SIZE_INCHES, layout)
 
 
-def tornado(
-    columns: Columns, metric: str, factors: Sequence[str], labels: Sequence[str], path: str | os.PathLike[str] | None
-) -> Path | None:
+def tornado(columns: Columns, metric: str, factors: Sequence[str], labels: Sequence[str], canvas: Canvas) -> Path | None:
     """Draws the median of a metric in the lowest and in the highest fifth of each factor, one panel per controller."""
     label, scale = unit_of(metric)
 
-    def draw(figure: Figure) -> None:
-        panels = np.ravel(figure.subplots(len(labels), 1, sharex=True, squeeze=False))
+    def draw(panels: list[Axes]) -> None:
         for axes, controller in zip(panels, labels, strict=True):
             own = columns["controller"] == controller
             values = scale * _worst_if_missing(columns[metric][own])
@@ -80,19 +94,19 @@ def tornado(
             axes.margins(x=0.05)
             axes.set_title(controller)
         panels[-1].set_xlabel(f"median {label}")
-        figure.suptitle("from the lowest (<) to the highest (>) fifth of each factor", x=0.01, ha="left")
 
-    return finish_figure(draw, (6.0, 1.2 + len(labels) * (0.6 + 0.3 * len(factors))), path)
+    size = (6.0, 1.2 + len(labels) * (0.6 + 0.3 * len(factors)))
+    layout = AxesLayout(title="from the lowest (<) to the highest (>) fifth of each factor")
+    return canvas.finish(draw, (len(labels), 1), size, layout)
 
 
 def success(
-    columns: Columns, succeeded: BoolArray, factors: tuple[str, str], labels: Sequence[str], path: str | os.PathLike[str] | None
+    columns: Columns, succeeded: BoolArray, factors: tuple[str, str], labels: Sequence[str], canvas: Canvas
 ) -> Path | None:
     """Draws the share of successes on a grid of two factors, one panel per controller."""
     x, y = factors
 
-    def draw(figure: Figure) -> None:
-        panels = np.ravel(figure.subplots(1, len(labels), sharey=True, squeeze=False))
+    def draw(panels: list[Axes]) -> None:
         image = None
         for axes, controller in zip(panels, labels, strict=True):
             own = columns["controller"] == controller
@@ -101,9 +115,9 @@ def success(
             axes.set_xlabel(_axis(x))
         panels[0].set_ylabel(_axis(y))
         if image is not None:
-            figure.colorbar(image, ax=list(panels), label="share of successes")
+            panels[0].figure.colorbar(image, ax=panels, label="share of successes")
 
-    return finish_figure(draw, (1.5 + 3.2 * len(labels), 3.4), path)
+    return canvas.finish(draw, (1, len(labels)), (1.5 + 3.2 * len(labels), 3.4), AxesLayout(sharex=False, sharey=True))
 
 
 def _share_grid(axes: Axes, x: Array, y: Array, succeeded: BoolArray):

@@ -24,6 +24,7 @@ from armctl.lab.study.summary import Sensitivity, StudySummary, sobol_indices, s
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.axes import Axes
 
 METRICS = (*FIGURES, "ok", "completed", "contacts")
 _PARQUET_KEY = b"armctl study"
@@ -223,7 +224,14 @@ class StudyResult(Verdict):
             return getattr(error, "log", None)
 
     def plot_quantiles(
-        self, path: str | os.PathLike[str] | None = None, metric: str = "tip_rms_m", over: str | None = None
+        self,
+        path: str | os.PathLike[str] | None = None,
+        metric: str = "tip_rms_m",
+        over: str | None = None,
+        *,
+        size: tuple[float, float] | None = None,
+        title: bool = True,
+        ax: Axes | None = None,
     ) -> Path | None:
         """Draws the median of a metric over a factor for each controller, with bands from 25 to 75 % and from 5 to 95 %.
 
@@ -231,20 +239,36 @@ class StudyResult(Verdict):
             path: The picture, .png, .svg or .pdf; a window opens if left out.
             metric: A figure of the table.
             over: The factor; the first one with several numbers if left out.
+            size: Width and height in inches.
+            title: Whether what the bands are stands above; False where a caption says it.
+            ax: Axes of matplotlib to draw into instead.
 
         Raises:
             InputError: An argument has a wrong type or value, or the factor has no numbers.
             ArmctlError: The file cannot be written.
         """
         self._check("metric", metric)
-        return plots.quantiles(self.table(), metric, self._factor("over", over), self._labels, path)
+        return plots.quantiles(
+            self.table(), metric, self._factor("over", over), self._labels, plots.Canvas(path, size, title, ax)
+        )
 
-    def plot_tornado(self, path: str | os.PathLike[str] | None = None, metric: str = "tip_rms_m") -> Path | None:
+    def plot_tornado(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        metric: str = "tip_rms_m",
+        *,
+        size: tuple[float, float] | None = None,
+        title: bool = True,
+        ax: Axes | Sequence[Axes] | None = None,
+    ) -> Path | None:
         """Draws how the median of a metric moves from the lowest to the highest fifth of each factor, for each controller.
 
         Args:
             path: The picture, .png, .svg or .pdf; a window opens if left out.
             metric: A figure of the table.
+            size: Width and height in inches.
+            title: Whether what the marks are stands above; False where a caption says it.
+            ax: Axes of matplotlib to draw into instead, one for each controller.
 
         Raises:
             InputError: An argument has a wrong type or value, or no factor has several numbers.
@@ -252,7 +276,7 @@ class StudyResult(Verdict):
         """
         self._check("metric", metric)
         self._factor("factors", None)
-        return plots.tornado(self.table(), metric, self.numeric_factors, self._labels, path)
+        return plots.tornado(self.table(), metric, self.numeric_factors, self._labels, plots.Canvas(path, size, title, ax))
 
     def plot_success(
         self,
@@ -262,6 +286,8 @@ class StudyResult(Verdict):
         *,
         metric: str = "ok",
         limit: float | None = None,
+        size: tuple[float, float] | None = None,
+        ax: Axes | Sequence[Axes] | None = None,
     ) -> Path | None:
         """Draws the share of successes over two factors: how much of both until it fails.
 
@@ -271,6 +297,8 @@ class StudyResult(Verdict):
             y: The factor on the vertical axis; the second one if left out.
             metric: "ok", the tip is at its goal at the end; or a figure with a limit.
             limit: The largest figure that is a success, in SI units.
+            size: Width and height in inches.
+            ax: Axes of matplotlib to draw into instead, one for each controller.
 
         Raises:
             InputError: An argument has a wrong type or value, or the study has only one factor with several numbers.
@@ -286,7 +314,9 @@ class StudyResult(Verdict):
         if (metric in ("ok", "completed")) != (limit is None):
             raise InputError("metric, limit: give a figure and its limit, or neither of them")
         succeeded = values > 0.5 if limit is None else values <= limit  # False for NaN, a run that was not completed
-        return plots.success(self.table(), succeeded, (first, second), self._labels, path)
+        return plots.success(
+            self.table(), succeeded, (first, second), self._labels, plots.Canvas(path, size, title=True, ax=ax)
+        )
 
     @property
     def _labels(self) -> list[str]:

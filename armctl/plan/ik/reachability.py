@@ -18,7 +18,7 @@ from armctl.core.atomic import atomic_path, file_path
 from armctl.core.defaults import MAX_FILE_VALUE
 from armctl.core.errors import InputError
 from armctl.core.file_reading import read_npz, reading
-from armctl.core.plotting import finish_figure
+from armctl.core.plotting import AxesLayout, finish_axes
 from armctl.core.pose import matrix_from_quat
 from armctl.core.progress import progress_bar
 from armctl.core.result import Verdict
@@ -29,7 +29,7 @@ from armctl.plan.ik.lm import TOLERANCE_SHARE
 from armctl.plan.ik.problem import IkChain, ik_chain
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 DEFAULT_ORIENTATIONS = 32
 DEFAULT_SPACING_REACHES = 0.125
@@ -177,7 +177,14 @@ class Reachability(Verdict):
                 raise InputError(f"points: a number is above {MAX_FILE_VALUE:g}")
             return result
 
-    def plot(self, path: str | os.PathLike[str] | None = None, values: str = "fraction") -> Path | None:
+    def plot(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        values: str = "fraction",
+        *,
+        size: tuple[float, float] | None = None,
+        ax: Axes | Sequence[Axes] | None = None,
+    ) -> Path | None:
         """Draws slices through the middle of the reached points: seen from above, from the front and from the side.
 
         If the grid is one layer, only this layer is drawn.
@@ -185,9 +192,13 @@ class Reachability(Verdict):
         Args:
             path: An image file, such as "reach.png" or ".pdf"; without it a window opens.
             values: "fraction" or "manipulability".
+            size: Width and height in inches.
+            ax: Axes of matplotlib to draw into instead, one for each slice.
 
         Raises:
-            InputError: There are no such values.
+            InputError: There are no such values, the path has another ending, or the axes are not one for each slice.
+            ArmctlError: The file cannot be written.
+            NotInstalledError: There is no screen for a window.
         """
         shown_values = self._values(values)
         extent = np.ptp(self.points, axis=0)
@@ -195,8 +206,7 @@ class Reachability(Verdict):
         layers = [each for each in slices if extent[each[2]] == 0]
         slices = layers if len(layers) == 1 else slices
 
-        def draw(figure: Figure) -> None:
-            axes = np.atleast_1d(figure.subplots(1, len(slices)))
+        def draw(axes: list[Axes]) -> None:
             for panel, (i, j, across) in zip(axes, slices, strict=True):
                 heights = self.points[self.fraction > 0, across] if self.ok else self.points[:, across]
                 level = float(heights[np.abs(heights - np.median(heights)).argmin()])
@@ -210,9 +220,9 @@ class Reachability(Verdict):
                 panel.set_title(f"{'xyz'[across]} = {level:.3f} m")
                 panel.set_aspect("equal")
                 panel.margins(0.05)
-            figure.colorbar(axes[0].collections[0], ax=list(axes), label=values)
+            axes[0].figure.colorbar(axes[0].collections[0], ax=axes, label=values)
 
-        return finish_figure(draw, (1.0 + 4.0 * len(slices), 4.5), path)
+        return finish_axes(draw, (1, len(slices)), size or (1.0 + 4.0 * len(slices), 4.5), path, ax, AxesLayout(sharex=False))
 
     def _values(self, name: str) -> Array:
         return self.fraction if choice("values", name, ("fraction", "manipulability")) == "fraction" else self.manipulability

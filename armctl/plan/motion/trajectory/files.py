@@ -1,11 +1,13 @@
 """Trajectories in files: exact arrays as npz, samples as CSV, and a plot. All files are replaced atomically."""
 
+from __future__ import annotations
+
 import csv
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,11 +16,15 @@ from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError
 from armctl.core.file_reading import read_npz, reading
 from armctl.core.limits import Limits
-from armctl.core.plotting import FONTS
+from armctl.core.plotting import FONTS, checked_axes, checked_size, draw_axes
 from armctl.core.validation import Array, shown
 from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, check_continuous, check_pieces
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 _FORMAT = 1
+_SIZE_INCHES = (8.0, 9.0)
 _MAX_BYTES = 2**30  # unpacked: three million pieces of seven joints; more is taken for a damaged or hostile archive
 
 
@@ -109,7 +115,13 @@ def save_table(path: str | os.PathLike[str], joint_names: Sequence[str], times: 
 
 
 def plot(
-    content: TrajectoryContent, times: Array, samples: JointSamples, jerk: Array, path: str | os.PathLike[str] | None
+    content: TrajectoryContent,
+    times: Array,
+    samples: JointSamples,
+    jerk: Array,
+    path: str | os.PathLike[str] | None,
+    size: tuple[float, float] | None,
+    ax: Sequence[Axes] | None,
 ) -> object:
     """Matplotlib's figure of position, velocity, acceleration and jerk (T, n) of every joint, saved if there is a path."""
     from matplotlib import rc_context
@@ -121,13 +133,21 @@ def plot(
         ("acceleration / limit", samples.a / content.limits.a_max),
         ("jerk / limit", jerk / content.limits.j_max),
     )
-    figure = Figure(figsize=(8, 9), layout="constrained")
-    for axes, (label, values) in zip(figure.subplots(len(rows), 1, sharex=True), rows, strict=True):
-        axes.plot(times, values, label=content.joint_names)
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
-    figure.axes[0].legend(ncols=4, fontsize="small")
-    figure.axes[-1].set_xlabel("time, s")
+
+    def draw(panels: list[Axes]) -> None:
+        for axes, (label, values) in zip(panels, rows, strict=True):
+            axes.plot(times, values, label=content.joint_names)
+            axes.set_ylabel(label)
+            axes.grid(alpha=0.3)
+        panels[0].legend(ncols=4, fontsize="small")
+        panels[-1].set_xlabel("time, s")
+
+    if ax is not None:
+        panels = checked_axes(ax, len(rows), path)
+        draw(panels)
+        return panels[0].figure
+    figure = Figure(figsize=_SIZE_INCHES if size is None else checked_size(size), layout="constrained")
+    draw_axes(figure, draw, (len(rows), 1))
     if path is not None:
         formats = figure.canvas.get_supported_filetypes()
         file = file_path("path", path)

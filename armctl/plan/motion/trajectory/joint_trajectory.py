@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,9 @@ from armctl.plan.motion.trajectory import files, piecewise
 from armctl.plan.motion.trajectory.limit_check import QUANTITIES, LimitCheck, check_limits
 from armctl.plan.motion.trajectory.path_stop import speed_changed, stopped
 from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, basis, join_gaps
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _MAX_TABLE_ROWS = 10_000_000  # of a CSV file; a longer one is taken for a mistake in dt
 _PLOT_SAMPLES = 1000
@@ -366,21 +369,29 @@ class JointTrajectory:
             units=arm.units,
         )
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> object:
+    def plot(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        size: tuple[float, float] | None = None,
+        ax: Sequence[Axes] | None = None,
+    ) -> object:
         """Draws position, velocity, acceleration and jerk of every joint, the last three as shares of their limits.
 
         Args:
             path: Where to save the picture; left out, it is not saved.
+            size: Width and height in inches.
+            ax: Four axes of matplotlib to draw into instead.
 
         Returns:
-            Matplotlib's figure.
+            Matplotlib's figure; that of the axes, if there are some.
 
         Raises:
-            InputError: The path is not a file name, or its suffix is not a format of a picture.
+            InputError: The path is not a file name, its suffix is not a format of a picture, or the axes are not four.
             ArmctlError: The file cannot be written.
         """
         times = self._times(max(self.duration / _PLOT_SAMPLES, 1e-9))
-        return files.plot(self._content, times, JointSamples(*self.sample(times)[:3]), self.jerk(times), path)
+        return files.plot(self._content, times, JointSamples(*self.sample(times)[:3]), self.jerk(times), path, size, ax)
 
     @property
     def _content(self) -> files.TrajectoryContent:
