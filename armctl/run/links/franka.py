@@ -1,4 +1,4 @@
-"""A Franka Research 3 by Franka's own client, pylibfranka: joint positions at 1 kHz, and its hand."""
+"""A Franka Research 3 by Franka's own client, pylibfranka: joint positions or torques at 1 kHz, and its hand."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LinkError, import_extra
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, as_array, flag, inertia_tensor, number, vector
+from armctl.core.validation import Array, as_array, flag, inertia_tensor, instance, number, vector
 from armctl.run.links.envelope import Envelope
 from armctl.run.links.link import HandReading, Link, Reading
+from armctl.run.links.torque_interface import TorqueInterface, TorqueLink
+from armctl.run.links.torque_limiter import KEPT_SHARE
 
 _COLLISION_TORQUE = 20.0  # N m, at which the robot stops; the value of Franka's examples
 _COLLISION_FORCE = 20.0  # N
@@ -38,16 +40,28 @@ FR3 = Envelope(
     stopping_acceleration=np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0]),
 )
 
+# libfranka: `Torques` are joint torques without gravity and friction, which the robot adds; rate_limiting.h: `kMaxTorqueRate`.
+# Its client filters the torques of callbacks only.
+FR3_TORQUE = TorqueInterface(
+    tau_max=FR3.limits.tau_max,
+    rate_max=1000.0,
+    adds_gravity=True,
+    adds_friction=True,
+    settle=(3e-3, 2e-2),  # friction on a simulated controller keeps PD 1.6 mm and 0.01 rad from a target
+    source="libfranka, class Torques and rate_limiting.h",
+)
 
-class Franka(Link):
+
+class Franka(Link, TorqueLink):
     """A Franka Research 3 with the Franka Control Interface, protocol 10 (system 5.9 and later).
 
-    It was tried with simulators of the controller only, never with a robot. Needs the extra `franka`.
+    It takes joint positions, or the torques of a controller. It was tried with simulators of the controller only, never with a
+    robot. Needs the extra `franka`.
 
     Attributes:
         host: The address of the robot.
         dt: s, the tick.
-        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        name, address, envelope, rest_speed, settle, payload, passes_time, torque: As of every link.
     """
 
     dt = 1e-3
@@ -64,6 +78,7 @@ class Franka(Link):
         payload_center: ArrayLike = (0.0, 0.0, 0.0),
         payload_inertia: ArrayLike = (0.0, 0.0, 0.0),
         real_time: bool = True,
+        torque: TorqueInterface | None = None,
     ):
         """A robot that is not connected yet.
 
@@ -74,9 +89,11 @@ class Franka(Link):
             payload_inertia: kg m^2 about its center of mass, in the flange's axes: (3,) moments, a (3, 3) matrix, or the (9,)
                 numbers of the matrix.
             real_time: Whether the process must get a real-time priority, as Franka demands for a robot.
+            torque: What it does with torques; by default what Franka publishes: it adds gravity and friction. Another one for
+                a simulator that does not add friction, or with a delay that is known.
 
         Raises:
-            InputError: The host is no text, or a number is out of its bounds.
+            InputError: The host is no text, a number is out of its bounds, or the interface has not seven joints.
         """
         if not isinstance(host, str) or not host:
             raise InputError(f"host: expected an address such as 172.16.0.2, got {host!r:.80}")
@@ -88,9 +105,17 @@ class Franka(Link):
         numbers = as_array("payload_inertia", payload_inertia)
         self._inertia = inertia_tensor("payload_inertia", numbers.reshape(3, 3) if numbers.shape == (9,) else numbers)
         self._real_time = flag("real_time", real_time)
+        if torque is not None:
+            instance(
+                "torque", torque, TorqueInterface, "armctl.links.TorqueInterface(tau_max=[87, 87, 87, 87, 12, 12, 12]) is one"
+            )
+            vector("torque.tau_max", torque.tau_max, 7, finite=False)
+        self.torque: TorqueInterface | None = FR3_TORQUE if torque is None else torque
         self._robot: Any = None
         self._control: Any = None
         self._hand: Any = None
+        self._commanded_torque = np.zeros(7)  # N m, that the robot reports as the last one that it got
+        self._stands_where_it_is = False  # whether torques moved it last, so that it has no commanded position
         self._is_first = True  # whether no row of the stream was sent yet
         self._received = 0.0  # s of the clock, when the last reading came
         self._intervals = deque([0.0], maxlen=_ROWS_ON_THEIR_WAY)  # s, between the last readings
@@ -115,6 +140,15 @@ class Franka(Link):
     def start(self) -> None:
         with _calling() as client:
             self._control = self._opened().start_joint_position_control(client.ControllerMode.JointImpedance)
+        self._begin(takes_torques=False)
+
+    def start_torques(self) -> None:
+        with _calling():
+            self._control = self._opened().start_torque_control()
+        self._begin(takes_torques=True)
+
+    def _begin(self, takes_torques: bool) -> None:
+        self._stands_where_it_is = takes_torques
         self._is_first = True
         self._received = time.monotonic()
         self._intervals = deque([0.0], maxlen=_ROWS_ON_THEIR_WAY)
@@ -133,15 +167,26 @@ class Franka(Link):
         self._received = now
         ticks = 1 if self._is_first else max(1, round(period.to_sec() / self.dt))
         self._is_first = False
+        self._commanded_torque = np.array(state.tau_J_d)
         return ticks, self._reading(state)
 
     def send(self, q: Array, last: bool) -> None:
-        q = vector("q", q, 7)
-        last = flag("last", last)
+        self._write("JointPositions", vector("q", q, 7), flag("last", last))
+
+    def send_torques(self, tau: Array, last: bool) -> None:
+        tau = vector("tau", tau, 7)
+        if self.torque is not None:
+            # As libfranka's `limitRate` does: where a command is lost, the robot compares the next one with the one before it.
+            step = KEPT_SHARE * self.dt * self.torque.rate_limits
+            tau = np.clip(tau, self._commanded_torque - step, self._commanded_torque + step)
+        self._write("Torques", tau, flag("last", last))
+
+    def _write(self, kind: str, row: Array, last: bool) -> None:
+        """Sends a row of a kind, the name of its class in Franka's client."""
         control = self._stream()
         self._control = None  # where the call fails or the stream ends, the next motion must not find it
         with _calling() as client:
-            command = client.JointPositions(q.tolist())
+            command = getattr(client, kind)(row.tolist())
             command.motion_finished = last
             control.writeOnce(command)
         self._control = None if last else control
@@ -197,7 +242,7 @@ class Franka(Link):
             q=np.array(state.q),
             v=np.array(state.dq),
             tau=np.array(state.tau_J),
-            q_ref=np.array(state.q_d),
+            q_ref=np.array(state.q if self._stands_where_it_is else state.q_d),
             fault=fault,
         )
 

@@ -5,13 +5,14 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from arms import HELPERS, arm_of
 
 import armctl
-from armctl.run.links.franka import FR3
+from armctl.run.links.franka import FR3, FR3_TORQUE
 
 pytestmark = pytest.mark.full
 pytest.importorskip("pylibfranka")
@@ -71,6 +72,23 @@ def test_moves_reach_their_targets_and_the_hand_moves(address: str, arm: armctl.
         nothing = robot.gripper.grasp(20.0)
         assert not nothing
         assert nothing.reason.startswith("closed on nothing")
+
+
+@pytest.mark.parametrize("law", ["pd-gravity", "computed-torque"])
+def test_a_law_moves_the_robot_by_torques_and_the_log_has_them(address: str, arm: armctl.Arm, law: str):
+    torque = replace(FR3_TORQUE, adds_friction=False, delay=1e-3)  # the simulated controller adds gravity only
+    link = armctl.links.Franka(address, real_time=False, torque=torque)
+    with armctl.Robot(arm, link, speed=0.3, tip_speed=0.5, controller=law) as robot:
+        assert robot.move_j(arm.home)
+        for goal in (SOMEWHERE, arm.home):
+            result = robot.move_j(goal)
+            assert result, result.reason
+            log = result.log
+            assert (log.controller, log.torques) == (law, "both")
+            assert np.abs(log.q - log.q_ref).max() < 0.05
+            assert np.median(np.abs(log.tau - log.tau_cmd).max(axis=1)) < 0.3
+    with armctl.Robot(arm, armctl.links.Franka(address, real_time=False), speed=0.3) as robot:
+        assert robot.move_j(SOMEWHERE)  # by its own servo, from where the law left it
 
 
 def test_what_is_planned_passes_the_check_and_full_limits_do_not():
