@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from armctl.control import CONTROLLERS
 from armctl.core.errors import InputError, UnknownNameError
@@ -20,7 +20,7 @@ WRONG_CALL = 2
 
 PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, all, or ARGUMENT=NUMBER of Plant; several joined with +"
 _CHAIN_OPTIONS = {
-    "--tip": "site, body or geom at the end of the chain",
+    "--tip": "site, body or geom at the end of the chain; several with commas between them",
     "--base": "body at the start of the chain; joints above it are held",
     "--tool": "gripper, hand or MJCF file to mount at the tip",
     "--scene": "MJCF file of the tables and objects around the robot",
@@ -100,8 +100,10 @@ def controllers_from(text: str) -> list[str]:
 def load_arm(args: argparse.Namespace) -> Arm:
     from armctl.model.loading.load import load
 
-    ends = {"tip": args.tip, "base": args.base}
-    return load(args.robot, **ends, tool=args.tool, scene=args.scene, srdf=args.srdf, shapes=args.shapes)
+    tips = names(args.tip)
+    several = len(tips) > 1
+    ends: dict[str, Any] = {"tips": tips} if several else {"tip": args.tip}
+    return load(args.robot, **ends, base=args.base, tool=args.tool, scene=args.scene, srdf=args.srdf, shapes=args.shapes)
 
 
 def load_arm_with_notes(args: argparse.Namespace) -> Arm:

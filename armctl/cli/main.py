@@ -109,8 +109,8 @@ def with_options(message: str, args: argparse.Namespace) -> str:
     """A message of the library with the options of the command in place of arguments of Python: `--tip` for `tip=`."""
     for name in vars(args).keys() - _NOT_OPTIONS:
         option = f"--{name.replace('_', '-')}"
-        message = re.sub(rf"^{name}(?=: )|(?<![\w-]){name}=(True\b|(?=\W|$))", option, message)
-        message = re.sub(rf"(?<![\w-]){name}=(?=\w)", f"{option} ", message)
+        message = re.sub(rf"^{name}(?=: )|(?<![\w-]){name}=(True\b|(?=[^\w'\"\[]|$))", option, message)
+        message = re.sub(rf"(?<![\w-]){name}=(?=[\w'\"\[])", f"{option} ", message)
     return message
 
 

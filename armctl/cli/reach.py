@@ -1,24 +1,40 @@
 """`armctl reach ROBOT`: the tip moves to a target, and a report."""
 
+from __future__ import annotations
+
 import argparse
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from armctl.cli import common, outputs
 from armctl.core.defaults import FILM_ENDINGS, PICTURE_ENDINGS
-from armctl.core.errors import InputError, LimitError
+from armctl.core.errors import InputError, LimitError, few_names
+
+if TYPE_CHECKING:
+    from armctl.core.target import TargetLike
+    from armctl.core.tip_targets import TipTarget, TipTargets
+    from armctl.run.sim.simulation import Simulation
 
 _EXAMPLES = (
     "panda --target 0.5 0.2 0.4",
     "panda --target 0.5 0.2 0.4 3.14 0 0 --controller computed-torque-observer --out run",
     "ur5e --out reach.mp4",
+    "aloha --target left/gripper 0 0.05 0.65 --target right/gripper stay",
 )
 
 
 def add(commands: common.Commands) -> None:
     parser = common.add_command(commands, "reach", run, "move the tip to a target and report", _EXAMPLES)
     common.add_arm(parser)
-    parser.add_argument("--target", nargs="+", metavar="N", help="x y z in m, optionally with roll pitch yaw in rad")
+    parser.add_argument(
+        "--target",
+        nargs="+",
+        action="append",
+        metavar="N",
+        help="x y z in m, optionally with roll pitch yaw in rad; of a robot with several tips after the name of one, "
+        "given for each that has a target, or `stay`",
+    )
     parser.add_argument(
         "--allow", action="append", default=[], metavar="A,B", help="two bodies or geoms that may touch, such as cube,table"
     )
@@ -32,6 +48,7 @@ def add(commands: common.Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     speed = common.speed_from(args.speed)
+    from armctl.core.units import length_text
     from armctl.core.validation import number
     from armctl.report.render import film_path
     from armctl.report.report import Report
@@ -44,13 +61,14 @@ def run(args: argparse.Namespace) -> int:
     video_speed = number("video_speed", common.one_number("video_speed", args.video_speed), 0.01, 100.0)
     allow = [_pair(words) for words in args.allow]
     simulation = Simulation(common.load_arm(args), args.controller)
-    target = simulation.target if args.target is None else _target(args.target)
-    result = simulation.move_to(target, speed=speed, allow=allow)
+    result = simulation.move_to(_targets(simulation, args.target), speed=speed, allow=allow)
     if result.log is None:
         common.print_result(args, str(result), None, result.reason)
         return common.NOT_REACHED
     report = Report.from_log(result.log)
-    common.print_result(args, str(report), report.to_dict(), result.reason or report.reason)
+    tips = [f"  {tip}: {length_text(distance)} from its target" for tip, (distance, _) in result.tip_errors.items()]
+    figures = report.to_dict() | ({"tip_errors": result.tip_errors} if tips else {})
+    common.print_result(args, "\n".join([str(report), *tips]), figures, result.reason or report.reason)
     film = outputs.Output("", FILM_ENDINGS, lambda path: simulation.record(path, speed=video_speed))
     outputs.write_outputs(args, [*outputs.report_outputs(report), film])
     return common.DONE if result and report else common.NOT_REACHED
@@ -63,7 +81,32 @@ def _pair(words: str) -> tuple[str, str]:
     return first, second
 
 
-def _target(words: Sequence[str]):
+def _targets(simulation: Simulation, given: Sequence[Sequence[str]] | None) -> TargetLike | TipTargets:
+    """The target of an arm with one tip, or those of several by tip."""
+    from armctl.core.tip_targets import STAY
+
+    arm = simulation.arm
+    if not arm.further_tips:
+        if given is None:
+            return simulation.target
+        if len(given) > 1:
+            raise InputError(f"target: {len(given)} targets for the tip {arm.tip!r:.80}; give one")
+        return _target(given[0])
+    example = f"--target {arm.tip:.80} x y z"
+    if given is None:
+        raise InputError(f"target: {arm.name:.60} has {len(arm.tips)} tips; give a target for any of them: {example}")
+    targets: dict[str, TipTarget] = {}
+    for name, *words in given:
+        if name not in arm.tips:
+            known = few_names(arm.tips)
+            raise InputError(f"target: expected the tip that it is for, {known}, before its numbers, got {name!r:.80}")
+        if name in targets:
+            raise InputError(f"target: {name!r:.80} has two targets; give one")
+        targets[name] = STAY if words == ["stay"] else _target(words)
+    return targets
+
+
+def _target(words: Sequence[str]) -> TargetLike:
     from armctl.core.pose import Pose
 
     values = common.numbers("target", words)

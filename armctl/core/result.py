@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from armctl.core.errors import few_names, pairs_in_words
 from armctl.core.log import Contact, Log
@@ -47,6 +47,7 @@ class MoveResult(Verdict):
         left_out: Pairs of names of bodies that touch by design, and that the proof of the motion left out though a simulation
             keeps their contact. `load` takes such contacts out of the model where it can.
         member: Of a region as the target, the pose that the motion goes to; None for another target, or without a motion.
+        tip_errors: By tip the distance, m, and the angle, rad, from its target, where the targets were by tip; else empty.
     """
 
     ok: bool
@@ -59,6 +60,7 @@ class MoveResult(Verdict):
     clearance: float = math.nan
     left_out: tuple[tuple[str, str], ...] = ()
     member: RegionMember | None = None
+    tip_errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if not self.ok:

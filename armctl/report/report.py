@@ -194,6 +194,8 @@ class Report(Verdict):
         torque_unit = units.label(units.of_torque(self.log.units))
         settled = f"settled after {self.settling_time_s:.3f} s" if math.isfinite(self.settling_time_s) else "never settled"
         turned = "" if np.isnan(_goal(self.log)[1]).any() else f", {_deg(self.final_orientation_error_rad)}"
+        is_known = not math.isnan(self.chatter_nm)  # unless the motion is too short for it
+        chatter = f", chatter {_chatter_text(self.chatter_nm)} {torque_unit}" if is_known else ""
         rows = {
             "run": f"{self.robot}, {self.controller}, {self.duration_s:.3f} s in ticks of {1e3 * self.log.dt:g} ms,"
             f" {self.real_time_factor:.0f} times real time",
@@ -203,7 +205,7 @@ class Report(Verdict):
             f" max {_joint_error(self.joint_max_rad, self.joint_max_m, with_unit=True)}",
             "at the goal": f"{settled}, overshoot {length_text(self.overshoot_m)}",
             "torque": f"peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
-            f" {100 * self.saturated_fraction:.1f} % of the time, chatter {_chatter_text(self.chatter_nm)} {torque_unit}",
+            f" {100 * self.saturated_fraction:.1f} % of the time{chatter}",
         }
         if self.contacts:
             rows["contact"] = contacts_in_words(self.contacts)

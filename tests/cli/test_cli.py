@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 from arms import BUNDLED, MISSING, at_hand
 from commands import armctl_command
-from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
+from synthetic import FIRST, SECOND, THIRD, TOOL, limb, mjcf, motors, urdf
 
 import armctl
 from armctl.cli.main import command_parser, main, with_options
@@ -108,6 +108,7 @@ def test_messages_name_options_and_not_arguments_of_python():
     assert with_options("base=free moves it, tip=hand and tip_offset= too", args) == (
         "--base free moves it, --tip hand and tip_offset= too"
     )
+    assert with_options("load it with tip='left/hand' now", args) == "load it with --tip 'left/hand' now"
     assert with_options("tip: no such body", args) == "--tip: no such body"
     assert with_options("robot: no such file", args) == "robot: no such file"
 
@@ -140,6 +141,32 @@ def test_a_menagerie_arm_reaches_a_target(capsys):
     assert status == 0
     assert figures["ok"]
     assert figures["result"]["final_tip_error_m"] < 1e-4
+
+
+def test_a_robot_with_several_tips_reaches_a_target_for_each(capsys, tmp_path):
+    left = limb("a b c p q r", '<site name="left" pos="0.1 0 0"/>')
+    right = limb("d e f g h i", '<site name="right" pos="0 0.1 0"/>')
+    file = tmp_path / "torso.xml"
+    file.write_text(mjcf(limb("torso", left + right), motors("torso a b c p q r d e f g h i")))
+    robot = armctl.load(file, tips=["left", "right"])
+    q = robot.home + 0.4
+    target = [f"{x:.4f}" for x in robot.fk(q, "left").position]
+    command = ["reach", str(file), "--tip", "left,right"]
+    status, out, err = run(capsys, *command, "--target", "left", *target, "--target", "right", "stay", "--json")
+    errors = json.loads(out)["result"]["tip_errors"]
+    assert status == 0, err
+    assert max(errors["left"][0], errors["right"][0]) < 1e-4
+    status, out, _ = run(capsys, *command, "--target", "left", "0", "0", "99")
+    assert status == 1
+    assert "left is" in out
+    for words, text in (
+        ([], "has 2 tips; give a target for any of them: --target left x y z"),
+        (["--target", *target], "expected the tip that it is for, left, right, before its numbers, got '"),
+        (["--target", "left", *target, "--target", "left", "stay"], "'left' has two targets; give one"),
+    ):
+        status, _, err = run(capsys, *command, *words)
+        assert status == 2
+        assert text in err
 
 
 def test_a_pose_is_six_numbers(capsys):

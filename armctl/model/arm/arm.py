@@ -480,6 +480,6 @@ def check_one_tip(arm: Arm) -> None:
     if arm.further_tips:
         names = ", ".join(map(repr, arm.tips))
         raise InputError(
-            f"arm: it has the tips {names:.200}, and a pose is for one; armctl.load(..., tip={arm.tip!r:.80}) "
-            "loads the arm to it, and joint positions move all"
+            f"arm: it has the tips {names:.200}, and a pose is for one; load it with tip={arm.tip!r:.80}, or give joint "
+            "positions, which move all"
         )

@@ -384,7 +384,8 @@ class ControlledArm:
 
     def _result(self, move: PlannedMove, duration: float, reason: str, log: Log | None) -> MoveResult:
         """The result with the largest errors of the arm's tips."""
-        errors = [target.distance(pose) for _, target, pose in self._ends(move)]
+        by_tip = {name: target.distance(pose) for name, target, pose in self._ends(move)}
+        errors = by_tip.values()
         return MoveResult(
             ok=not reason,
             position_error=max(position_error for position_error, _ in errors),
@@ -396,4 +397,5 @@ class ControlledArm:
             clearance=move.clearance,
             left_out=move.left_out,
             member=move.member,
+            tip_errors=by_tip if move.tip_targets else {},
         )
