@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from arms import BUNDLED, MISSING, at_hand
 from commands import armctl_command
@@ -149,7 +150,7 @@ def test_a_robot_with_several_tips_reaches_a_target_for_each(capsys, tmp_path):
     file = tmp_path / "torso.xml"
     file.write_text(mjcf(limb("torso", left + right), motors("torso a b c p q r d e f g h i")))
     robot = armctl.load(file, tips=["left", "right"])
-    q = robot.home + 0.4
+    q = robot.home + np.repeat([0.0, 0.4, 0.0], [1, 6, 6])
     target = [f"{x:.4f}" for x in robot.fk(q, "left").position]
     command = ["reach", str(file), "--tip", "left,right"]
     status, out, err = run(capsys, *command, "--target", "left", *target, "--target", "right", "stay", "--json")
@@ -161,7 +162,7 @@ def test_a_robot_with_several_tips_reaches_a_target_for_each(capsys, tmp_path):
     assert "left is" in out
     for words, text in (
         ([], "has 2 tips; give a target for any of them: --target left x y z"),
-        (["--target", *target], "expected the tip that it is for, left, right, before its numbers, got '"),
+        (["--target", *target], "expected the tip that it is for, left and right, before its numbers, got '"),
         (["--target", "left", *target, "--target", "left", "stay"], "'left' has two targets; give one"),
     ):
         status, _, err = run(capsys, *command, *words)
