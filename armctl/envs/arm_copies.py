@@ -9,8 +9,9 @@ import numpy as np
 from armctl.core.validation import Array, IntArray
 from armctl.envs.randomization import ObjectFactors
 from armctl.envs.tasks.task import Episode, Task
-from armctl.run.sim.gripper.model import make_usable
-from armctl.run.sim.plant import NOMINAL, Plant, apply_plant, brake, held_dofs
+from armctl.model.gripper.gripper_model import make_usable
+from armctl.model.mjmodel.brake import brake
+from armctl.run.sim.plant import NOMINAL, Plant, apply_plant, held_dofs
 
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)  # quaternion
 

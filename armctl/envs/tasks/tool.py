@@ -9,11 +9,11 @@ import numpy as np
 
 from armctl.core.validation import Array, IntArray
 from armctl.model.arm.arm import Arm
+from armctl.model.gripper.gripper_model import GripperModel, find_gripper_model, make_usable
+from armctl.model.gripper.jaws import MAX_JAW_DISTANCE
+from armctl.model.mjmodel.brake import brake
 from armctl.model.mjmodel.queries import is_below
 from armctl.run.sim.gripper.gripper import PAD_SPEED
-from armctl.run.sim.gripper.jaws import MAX_JAW_DISTANCE
-from armctl.run.sim.gripper.model import GripperModel, find_gripper_model, make_usable
-from armctl.run.sim.plant import brake
 
 _MIN_OFFSET = 1e-3  # m, between the last joint and the tip: below it the joint's axis is where the tool points
 _ALONG_AXIS = 0.7  # cosine, above which the tool points along the last joint's axis

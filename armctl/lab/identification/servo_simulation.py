@@ -13,8 +13,9 @@ import numpy as np
 from armctl.core.log import Log
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
+from armctl.model.mjmodel.brake import brake
 from armctl.run.sim.drivetrain import apply_drivetrain, drivetrain_of, finish_drivetrain, new_model
-from armctl.run.sim.plant import Plant, apply_plant, brake, held_dofs
+from armctl.run.sim.plant import Plant, apply_plant, held_dofs
 
 _ROLLOUTS_AT_ONCE = 16  # bounds the memory of their states
 _SOLVER_TOLERANCE = 1e-12  # of dry friction, so that finite differences show parameters and not its rounding

@@ -17,7 +17,7 @@ from armctl.core.faces import face, show_arguments
 from armctl.core.other_names import check_keywords
 from armctl.core.validation import Array, IntArray, instance, number, shown, vector
 from armctl.model.arm.arm import Arm
-from armctl.model.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
+from armctl.model.mjmodel.brake import BRAKED_ARRAYS, brake
 from armctl.model.mjmodel.edit import add_payload
 from armctl.model.mjmodel.queries import actuator_name, is_on_joint
 from armctl.model.mjmodel.spring_joints import spring_joints
@@ -28,10 +28,7 @@ from armctl.run.sim.plant_attribute import Kind, attributes_of, number_text, pla
 _CONTINUOUS_STEP_S = 2e-4
 # Noise of the encoder in comparisons: absolute encoders of robot joints resolve 17 to 20 bits, 5e-5 to 6e-6 rad.
 ENCODER_NOISE_RAD = 1e-5
-# Armature of a braked joint: forces of the arm then move it by less than the rounding error.
-_BRAKE_INERTIA = 1e8  # kg m^2 (kg for a slide joint)
 DIVERGED_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
-_BRAKED_ARRAYS = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
 # What `apply_plant` changes, besides what MuJoCo derives from it.
 # The places of bodies are those of the arm, whose geometry may be calibrated, and not of the file that it was loaded from.
 _PLANT_ARRAYS = (
@@ -297,7 +294,7 @@ class Brake:
         self._model = model
         self._dofs = dofs
         self._released = np.zeros(0, dtype=np.int64)
-        self._unbraked = {name: getattr(model, name).copy() for name in _BRAKED_ARRAYS}
+        self._unbraked = {name: getattr(model, name).copy() for name in BRAKED_ARRAYS}
         self._tolerance = float(model.opt.tolerance)
         brake(model, dofs)
 
@@ -329,7 +326,7 @@ def apply_plant(
     A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant; the state in its
     data is lost. A payload hangs at the arm's first tip. `drivetrain` is the drivetrain of the model, if the caller knows it.
     """
-    for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
+    for name in (*_PLANT_ARRAYS, *BRAKED_ARRAYS):
         values = getattr(arm.model, name)
         getattr(model, name)[: len(values)] = values
     for name in _PLANT_OPTIONS:
@@ -408,28 +405,6 @@ def held_dofs(arm: Arm) -> IntArray:
     springs = [joint for joint, motor_joint in spring_joints(model).items() if motor_joint in moved]
     own = np.concatenate([arm.joint_map.dof_adr, model.jnt_dofadr[springs]])
     return np.setdiff1d(np.flatnonzero(of_robot & ~free), own)
-
-
-def brake(model: mujoco.MjModel, dofs: IntArray) -> None:
-    """Brakes joints in place: a large armature, and no constraint that acts on braked joints alone.
-
-    MuJoCo's solver takes its tolerance relative to the mean inertia of all joints, so the tolerance is scaled back.
-    """
-    held = np.zeros(model.nv, bool)
-    if len(dofs):
-        held[dofs] = True
-        inertia = model.dof_M0 + model.dof_armature
-        model.opt.tolerance *= inertia.mean() / (inertia + _BRAKE_INERTIA * held).mean()
-        model.dof_armature[held] = _BRAKE_INERTIA
-        model.dof_frictionloss[held] = 0.0
-        model.jnt_limited[held[model.jnt_dofadr]] = 0
-    for tendon in range(model.ntendon):
-        if held[dofs_of_tendon(model, tendon)].all():
-            model.tendon_limited[tendon] = 0
-            model.tendon_frictionloss[tendon] = 0.0
-    for equality in range(model.neq):
-        if held[dofs_of_equality(model, equality)].all():
-            model.eq_active0[equality] = 0
 
 
 def _pushes(value: Push | Iterable[Push]) -> tuple[Push, ...]:

@@ -9,8 +9,8 @@ from arms import arm_of, at_hand, some_of
 from synthetic import limb, mjcf, motors
 
 import armctl
+from armctl.model.gripper.gripper_model import find_gripper_model, make_servos
 from armctl.run.sim.gripper.gripper import Gripper
-from armctl.run.sim.gripper.model import find_gripper_model, make_servos
 
 PAD = '<geom name="{0}" type="box" size="0.01 0.004 0.02" pos="0 {1} 0.06" mass="0.02" solref="0.004 1"/>'
 

@@ -7,7 +7,7 @@ import pytest
 from synthetic import INERTIA, JOINT, LIMIT
 
 import armctl
-from armctl.run.sim.gripper.model import find_gripper_model
+from armctl.model.gripper.gripper_model import find_gripper_model
 
 LINK = '<link name="{}"><inertial><origin xyz="0 {} 0.05"/><mass value="0.05"/>{}</inertial>{}</link>'
 FINGER_INERTIA = INERTIA.replace("0.01", "0.00001")

@@ -1,1 +1,1 @@
-"""Grippers of simulated arms: which joints close, how they are driven, and what they hold."""
+"""Grippers of simulated arms: how they move, and what they hold."""

@@ -12,8 +12,8 @@ from armctl.core.errors import InputError
 from armctl.core.result import GripResult
 from armctl.core.validation import instance, number
 from armctl.model.arm.arm import Arm
+from armctl.model.gripper.gripper_model import find_gripper_model, make_usable
 from armctl.model.mjmodel.queries import acts, body_name, is_loose
-from armctl.run.sim.gripper.model import find_gripper_model, make_usable
 from armctl.run.sim.stepper import Stepper
 
 PAD_SPEED = 0.1  # m/s, of the pads relative to each other

@@ -11,11 +11,11 @@ from armctl.core.defaults import SETTLE_TIMEOUT_S
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.model.arm.arm import Arm
+from armctl.model.gripper.jaws import MIN_OPENING, Jaws, find_jaws
+from armctl.model.gripper.mechanism import find_mechanism
+from armctl.model.mjmodel.brake import brake
 from armctl.model.mjmodel.couplings import dofs_of_tendon
 from armctl.model.mjmodel.queries import acts, actuator_name, is_below, is_on_joint, placed, welded_behind
-from armctl.run.sim.gripper.jaws import MIN_OPENING, Jaws, find_jaws
-from armctl.run.sim.gripper.mechanism import find_mechanism
-from armctl.run.sim.plant import brake
 
 _TABLE_SIZE = 12  # widths for which the controls are tabulated
 _TOUCHING_STATES = 2  # of them: the jaws of a nearly closed gripper may touch
@@ -42,10 +42,16 @@ class GripperModel:
     # geoms of the jaws that overlap others of the robot while the gripper moves, as convex hulls do; their contacts with each
     # other are switched off while the gripper is in use
     overlapping: IntArray
+    qpos: Array  # (k, nq) positions of all joints of the model at each width, those of the arm at home
+    qpos_adr: IntArray  # addresses in `MjData.qpos` of the joints that move with the gripper
 
     def ctrl_at(self, width: float) -> Array:
         """(actuators,) controls for a width, m."""
         return np.array([np.interp(width, self.width, column) for column in self.ctrl.T])
+
+    def positions_at(self, width: float) -> Array:
+        """The positions of its joints, in the order of `qpos_adr`, at a width, m."""
+        return np.array([np.interp(width, self.width, self.qpos[:, address]) for address in self.qpos_adr])
 
     def actuator_force(self, force: float) -> Array:
         """(actuators,) forces that press the pads together with a force, N, by virtual work: sum f dl = -F dw."""
@@ -115,6 +121,8 @@ def find_gripper_model(arm: Arm, tip: str | None = None) -> GripperModel:
         inertia=frozen(inertia),
         followers=_indices([] if mechanism is None else mechanism.followers),
         overlapping=_indices([] if mechanism is None else _overlapping(arm, last, positions[_TOUCHING_STATES:size])),
+        qpos=frozen(positions[:size]),
+        qpos_adr=_indices(arm.model.jnt_qposadr[np.unique(arm.model.dof_jntid[dofs])].tolist()),
     )
     force_limits = np.array([_force_limit(model, a) for a in actuators])
     return replace(gripper, force_max=float(np.min(force_limits / np.abs(gripper.actuator_force(1.0)))))

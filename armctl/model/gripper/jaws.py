@@ -135,7 +135,7 @@ def _jaws_by_points(
 def _patch(model: mujoco.MjModel, states: Sequence[mujoco.MjData], side: frozenset[int]) -> _Patch:
     """The points that describe the shape of bodies; the centers of mass if none of them has a geom."""
     geoms = [int(g) for g in np.flatnonzero(np.isin(model.geom_bodyid, list(side)))]
-    local: list[Array] = [_points_of(model, g) for g in geoms] or [model.body_ipos[b][None] for b in sorted(side)]
+    local: list[Array] = [geom_points(model, g) for g in geoms] or [model.body_ipos[b][None] for b in sorted(side)]
     owners = [int(model.geom_bodyid[g]) for g in geoms] or sorted(side)
     bodies = np.repeat(owners, [len(points) for points in local])
     positions = np.concatenate(local)
@@ -144,7 +144,7 @@ def _patch(model: mujoco.MjModel, states: Sequence[mujoco.MjData], side: frozens
     return _Patch(bodies, positions, np.array(world))
 
 
-def _points_of(model: mujoco.MjModel, geom: int) -> Array:
+def geom_points(model: mujoco.MjModel, geom: int) -> Array:
     """(k, 3) m points of a geom in its body's frame: vertices of a mesh, else the corners of its bounding box."""
     mesh = int(model.geom_dataid[geom])
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH and mesh >= 0:
