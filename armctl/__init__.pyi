@@ -44,6 +44,9 @@ from .core.log import LogSource as LogSource
 from .core.log import LogTorques as LogTorques
 from .core.log import SimulationError as SimulationError
 from .core.pose import Pose as Pose
+from .core.handling import Grasp as Grasp
+from .core.handling import PickResult as PickResult
+from .core.handling import PlaceResult as PlaceResult
 from .core.result import GripResult as GripResult
 from .core.result import MoveResult as MoveResult
 from .core.shapes import Ball as Ball

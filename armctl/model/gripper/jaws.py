@@ -59,6 +59,10 @@ class Jaws:
         places = [data.xpos[p.body] + data.xmat[p.body].reshape(3, 3) @ p.position for p in self.points]
         return max(0.0, float(np.linalg.norm(places[0] - places[1])) - self.offset)
 
+    def pad_bodies(self, model: mujoco.MjModel) -> set[int]:
+        """The bodies of the two pads, or of the points that stand for them."""
+        return {int(model.geom_bodyid[pad]) for pad in self.pads} or {point.body for point in self.points}
+
 
 def find_jaws(model: mujoco.MjModel, states: Sequence[mujoco.MjData], palm: frozenset[int]) -> tuple[Jaws, int, int]:
     """The jaws of a gripper, from its states at the ends of its actuators' ranges, and the indices of the closed and open one.

@@ -17,7 +17,7 @@ from armctl.core.faces import face
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.shapes import Ball, Box, Cylinder
 from armctl.core.target import RegionMember
-from armctl.core.validation import Array, array, choice, frozen, instance, integer, matrix, number, shown, vector
+from armctl.core.validation import Array, array, choice, flag, frozen, instance, integer, matrix, number, shown, vector
 
 _COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 _ANGLES = slice(3, 6)
@@ -209,7 +209,14 @@ class Region:
 
     @classmethod
     def on(
-        cls, shape: Box | Cylinder, at: Pose | ArrayLike, *, height: float = 0.0, margin: float = 0.0, name: str = ""
+        cls,
+        shape: Box | Cylinder,
+        at: Pose | ArrayLike,
+        *,
+        height: float = 0.0,
+        margin: float = 0.0,
+        upright: bool = False,
+        name: str = "",
     ) -> Region:
         """The places on top of a box or a cylinder, such as a table, with the tip's z axis down and turned as it likes.
 
@@ -218,6 +225,8 @@ class Region:
             at: T_world_shape, or (3,) m, its centre.
             height: m, of the tip above the top.
             margin: m, that the tip stays away from the edges. On a cylinder it stays in the square within its circle.
+            upright: Whether the z axis points up instead, as that of a body that `place` puts there; `height` is then that of
+                the middle of the body.
             name: What it is called in results.
 
         Raises:
@@ -235,7 +244,7 @@ class Region:
             raise InputError(f"margin: {margin:g} m at the edges leave nothing of a top of {2 * extent.min():g} m")
         top = place @ Pose([0.0, 0.0, extent[2] + number("height", height)])
         bounds = [[-half[0], half[0]], [-half[1], half[1]], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [-np.inf, np.inf]]
-        return cls(top, bounds, tip=_DOWN, name=name)
+        return cls(top, bounds, tip=_IDENTITY if flag("upright", upright) else _DOWN, name=name)
 
     def __array__(self, dtype: object = None, copy: object = None) -> Array:
         """Refused, where one pose is taken and not a set of them."""

@@ -58,6 +58,10 @@ class Obstacles:
         own_pairs, snapshot = snapshot.allowing(pairs)
         return self._own_checker(own_pairs, self._carried(snapshot, held)).with_world(self._arm, snapshot)
 
+    def qpos(self) -> Array:
+        """(nq,) where everything is now, with the arm inside its limits."""
+        return self._at(np.array(self._data.qpos))
+
     def _carried(self, snapshot: WorldSnapshot | None, held: Mapping[str, int]) -> dict[str, int]:
         """What is held, and the bodies of the model that are attached to a tip, by the number of the body that carries each."""
         attached = {} if snapshot is None else snapshot.carried_bodies(self._arm)

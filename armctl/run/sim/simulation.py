@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.interface import Controller, State, traits
 from armctl.core import hooks
-from armctl.core.errors import LimitError, UnknownNameError
+from armctl.core.errors import InputError, LimitError, UnknownNameError
 from armctl.core.faces import named_after_itself
 from armctl.core.log import Log
 from armctl.core.other_names import with_hints
@@ -23,8 +23,8 @@ from armctl.model.collision.checker import CollisionChecker
 from armctl.model.loading.load import load
 from armctl.model.mjmodel.queries import has_obstacles
 from armctl.model.mjmodel.target_marker import without_marker
-from armctl.run.execution.commands import Commands
 from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
+from armctl.run.execution.hand_commands import GripperAtHand, HandCommands
 from armctl.run.execution.move import RunPurpose, read_controller
 from armctl.run.execution.recorder import ticks_for
 from armctl.run.sim.plant import Plant, read_plant
@@ -32,6 +32,7 @@ from armctl.run.sim.simulated_arm import ConstantTorque, SimulatedArm
 from armctl.run.sim.stepper import Stepper
 
 if TYPE_CHECKING:
+    from armctl.plan.grasp.handling_scene import HandledBody
     from armctl.report.render.depth_camera import Camera, CameraImage, Eyes
     from armctl.run.sim.gripper.gripper import Gripper
 
@@ -39,7 +40,7 @@ _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 
 
 @named_after_itself
-class Simulation(Commands):
+class Simulation(HandCommands):
     """An arm in its scene with a controller, commanded by Cartesian or joint targets.
 
     Every command starts where the last one ended. After Ctrl-C or a failing controller, `log` contains all ticks until then,
@@ -240,6 +241,21 @@ class Simulation(Commands):
         has_world = bool(self._obstacles.world) or has_obstacles(self.model, self.arm.joint_map.joints)
         is_alone = bool(self.arm.unchecked_links) and not has_world
         return super()._checker(flag("avoid", avoid) and not is_alone, allow)
+
+    def _gripper_at_hand(self) -> GripperAtHand:
+        gripper = self.gripper
+        return GripperAtHand(gripper, gripper.model)
+
+    def _held_body(self) -> str:
+        gripper = self._grippers.get(self.arm.tip)
+        return "" if gripper is None else gripper.held
+
+    def _check_pickable(self, body: HandledBody) -> None:
+        if not body.number:
+            raise InputError(
+                f"body: {body.name:.60} is only seen: the physics of a simulation does not contain what is in its world; "
+                "give it a mass in a World, and load that with armctl.load(..., scene=world)"
+            )
 
     @property
     def _held(self) -> dict[str, int]:

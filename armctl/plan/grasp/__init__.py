@@ -1,0 +1,1 @@
+"""Grasps: how a gripper can hold a body, and which of these grasps an arm can make."""
