@@ -55,7 +55,7 @@ from armctl.run.execution.move import (
     plan_move,
     plan_to,
 )
-from armctl.run.execution.obstacles import Obstacles
+from armctl.run.execution.obstacles import Carried, Obstacles
 from armctl.run.execution.path_move_options import PathMoveOptions, shows_options
 
 if TYPE_CHECKING:
@@ -81,6 +81,7 @@ class Commands:
         self.model = controlled.drive.model
         self.data = controlled.drive.data
         self._obstacles = Obstacles(self.arm, self.data)
+        self._carried: Carried | None = None
 
     @property
     def world(self) -> World:
@@ -484,9 +485,11 @@ class Commands:
 
     @property
     def _loaded_arm(self) -> Arm:
-        """The arm with what the world attaches to its tips, as plans need it."""
+        """The arm with what it has picked and what the world attaches to its tips, as plans need it."""
+        carried = self._carried
+        own = self.arm if carried is None or carried.name not in self._held else carried.loaded
         world = self._obstacles.world
-        return self.arm if world is None else world.snapshot().loaded_arm(self.arm)
+        return own if world is None else world.snapshot().loaded_arm(own)
 
     @property
     def _held(self) -> dict[str, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -17,7 +17,7 @@ from armctl.core.pose import Pose, computed_pose, rotation_from_vector, rotation
 from armctl.core.result import GripResult, MoveResult
 from armctl.core.target import Target
 from armctl.core.validation import Array, number, vector
-from armctl.model.arm.arm import Arm, check_one_tip
+from armctl.model.arm.arm import check_one_tip
 from armctl.model.collision.world_snapshot import WorldSnapshot, read_world
 from armctl.model.gripper.grip_frames import GripFrames, grip_frames
 from armctl.model.gripper.gripper_model import GripperModel
@@ -29,6 +29,7 @@ from armctl.plan.grasp.plan_pick import HeldAt, PickPlan, PlacePlan, plan_pick, 
 from armctl.plan.ik.region import Region
 from armctl.run.execution.commands import Commands
 from armctl.run.execution.move import ControlledArm, PlannedMove
+from armctl.run.execution.obstacles import Carried
 
 APPROACH_M = 0.08
 LIFT_M = 0.08
@@ -65,15 +66,6 @@ class GripperAtHand(NamedTuple):
     model: GripperModel
 
 
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """A body that was picked."""
-
-    name: str
-    upright: Array  # (3, 3) how it stood before
-    loaded: Arm  # the arm with it as a payload
-
-
 class HandCommands(Commands):
     """An arm that may have a gripper."""
 
@@ -81,7 +73,6 @@ class HandCommands(Commands):
         """Commands for an arm on its drive."""
         super().__init__(controlled)
         self._frames: GripFrames | None = None
-        self._carried: Carried | None = None
 
     def pick(
         self,
@@ -133,7 +124,7 @@ class HandCommands(Commands):
             )
         ways = self._ways(approach, lift, speed)
         squeeze = self._force(force, found, hand.model)
-        scene = self._scene(hand.model, found)
+        scene = self._handling_scene(hand.model, found)
         plan = plan_pick(scene, frames, self._start, ways, _UP)
         if isinstance(plan, str):
             return PickResult(ok=False, body=body, reason=plan)
@@ -182,7 +173,7 @@ class HandCommands(Commands):
         ways = self._ways(approach, lift, speed)
         largest_error = number("tolerance", tolerance, 0.0)
         poses = self._poses(where, found)
-        scene = self._scene(hand.model, found)
+        scene = self._handling_scene(hand.model, found)
         at = HeldAt(hand.commands.width, self.tip.inverse() @ found.pose)
         plan = plan_place(scene, self._grip_frames(hand.model), poses, self._start, at, ways, _UP)
         if isinstance(plan, str):
@@ -272,7 +263,7 @@ class HandCommands(Commands):
         world = self._obstacles.world
         return None if world is None else read_world(world)
 
-    def _scene(self, gripper: GripperModel, body: HandledBody) -> HandlingScene:
+    def _handling_scene(self, gripper: GripperModel, body: HandledBody) -> HandlingScene:
         qpos = self._obstacles.qpos()
         return HandlingScene(arm=self.arm, gripper=gripper, body=body, qpos=qpos, snapshot=self._snapshot)
 
@@ -325,10 +316,3 @@ class HandCommands(Commands):
         turn_now = rotation_vector(body.pose.rotation @ upright.T) @ _UP
         turns = turn_now + 2.0 * np.pi / _TURNS * np.array(sorted(range(_TURNS), key=lambda k: min(k, _TURNS - k)))
         return [computed_pose(position, rotation_from_vector(turn * _UP) @ upright) for turn in turns]
-
-    @property
-    def _loaded_arm(self) -> Arm:
-        carried = self._carried
-        own = self.arm if carried is None or self._held_body() != carried.name else carried.loaded
-        snapshot = self._snapshot
-        return own if snapshot is None else snapshot.loaded_arm(own)

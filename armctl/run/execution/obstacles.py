@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -20,6 +21,15 @@ _KEPT_CHECKERS = 4  # of the last scenes: building one takes longer than plannin
 _SAME_M = 1e-6  # rad, m: a smaller displacement is no new scene
 _NOTICED_M = 5e-4  # rad, m: a larger displacement is a new scene for `recent_checker`
 _NOTHING: Mapping[str, int] = MappingProxyType({})
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """A body that was picked."""
+
+    name: str
+    upright: Array  # (3, 3) how it stood before
+    loaded: Arm  # the arm with it as a payload
 
 
 class Obstacles:
