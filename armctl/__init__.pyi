@@ -37,6 +37,9 @@ from .core.errors import ModelError as ModelError
 from .core.errors import NotInstalledError as NotInstalledError
 from .core.errors import PlanError as PlanError
 from .core.errors import UnknownNameError as UnknownNameError
+from .core.handling import Grasp as Grasp
+from .core.handling import PickResult as PickResult
+from .core.handling import PlaceResult as PlaceResult
 from .core.limits import Limits as Limits
 from .core.log import Contact as Contact
 from .core.log import Log as Log
@@ -44,9 +47,6 @@ from .core.log import LogSource as LogSource
 from .core.log import LogTorques as LogTorques
 from .core.log import SimulationError as SimulationError
 from .core.pose import Pose as Pose
-from .core.handling import Grasp as Grasp
-from .core.handling import PickResult as PickResult
-from .core.handling import PlaceResult as PlaceResult
 from .core.result import GripResult as GripResult
 from .core.result import MoveResult as MoveResult
 from .core.shapes import Ball as Ball

@@ -69,7 +69,7 @@ class PickResult(Verdict):
 
     @property
     def duration(self) -> float:
-        """s, of the moves and of the gripper."""
+        """How long the moves and the gripper took, s."""
         return _duration(self.moves) + (0.0 if self.grip is None else self.grip.duration)
 
     @property
@@ -109,7 +109,7 @@ class PlaceResult(Verdict):
 
     @property
     def duration(self) -> float:
-        """s, of the moves and of the gripper."""
+        """How long the moves and the gripper took, s."""
         return _duration(self.moves) + (0.0 if self.grip is None else self.grip.duration)
 
     @property

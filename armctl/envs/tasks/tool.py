@@ -9,6 +9,7 @@ import numpy as np
 
 from armctl.core.validation import Array, IntArray
 from armctl.model.arm.arm import Arm
+from armctl.model.gripper.grip_frames import ALONG_AXIS
 from armctl.model.gripper.gripper_model import GripperModel, find_gripper_model, make_usable
 from armctl.model.gripper.jaws import MAX_JAW_DISTANCE
 from armctl.model.mjmodel.brake import brake
@@ -16,7 +17,6 @@ from armctl.model.mjmodel.queries import is_below
 from armctl.run.sim.gripper.gripper import PAD_SPEED
 
 _MIN_OFFSET = 1e-3  # m, between the last joint and the tip: below it the joint's axis is where the tool points
-_ALONG_AXIS = 0.7  # cosine, above which the tool points along the last joint's axis
 _NEAR_END = 0.04  # m from the end of the tool: what touches an object on the table
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _ROUND = {int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)}
@@ -153,7 +153,7 @@ def _direction(arm: Arm, data: mujoco.MjData, points: Array) -> Array:
     if length < _MIN_OFFSET:
         extents = points @ axis
         return -axis if len(points) and -extents.min() > extents.max() else axis
-    if abs(axis @ offset) > _ALONG_AXIS * length:
+    if abs(axis @ offset) > ALONG_AXIS * length:
         return np.sign(axis @ offset) * axis
     return offset / length
 

@@ -12,7 +12,7 @@ from armctl.model.arm.arm import Arm
 from armctl.model.gripper.gripper_model import GripperModel
 from armctl.model.gripper.jaws import MAX_JAW_DISTANCE, MIN_OPENING, geom_points
 
-_ALONG_AXIS = 0.7  # cosine, above which the fingers point along the axis of the last joint
+ALONG_AXIS = 0.7  # cosine, above which a tool points along the axis of the last joint
 _FACE_DEPTH = 1e-3  # m, behind the foremost point of a pad: what is nearer to the other pad than this is its face
 
 
@@ -103,7 +103,7 @@ def _pointing(arm: Arm, data: mujoco.MjData, last: int, T_tip_world: Pose, ends:
     offset = ends.mean(axis=0) - T_tip_world.transform(data.xanchor[joint])
     offset = offset - across * (across @ offset)
     length = float(np.linalg.norm(offset))
-    if abs(axis @ offset) >= _ALONG_AXIS * length:
+    if abs(axis @ offset) >= ALONG_AXIS * length:
         return axis if axis @ offset >= 0.0 else -axis
     return offset / length
 

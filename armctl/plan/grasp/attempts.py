@@ -114,10 +114,3 @@ def longest_line(
     """The longest of some shorter and shorter lines along a vector (3,), m, of the world; None if there is none."""
     found = (line(arm, start, moved(tip, share * way), speed, checker, failures) for share in _SHARES)
     return next((each for each in found if each is not None), None)
-
-
-def starts_of(arm: Arm, q_start: Array, seed: int = 0) -> Iterable[Array]:
-    """Configurations (n,) from which solutions are looked for: where the arm is, home, and random ones."""
-    yield q_start
-    yield arm.home
-    yield from arm.limits.random(arm.home, 2, np.random.default_rng(seed))

@@ -52,9 +52,9 @@ class HandlingScene:
     """An arm with a gripper, a body, and everything around.
 
     Attributes:
-        arm: The arm.
-        gripper: Its gripper.
-        body: The body.
+        arm: The one that handles the body, with one tip.
+        gripper: What is behind this tip.
+        body: What is picked or placed.
         qpos: (nq,) where everything is now.
         snapshot: The world around the arm; None if there is none.
     """

@@ -95,7 +95,8 @@ def _holds_of_shape(shape: Shape) -> Iterator[Hold]:
 def _box_holds(box: Box) -> Iterator[Hold]:
     for axis in range(3):
         closing = np.eye(3)[axis]
-        first, second = (other for other in range(3) if other != axis)
+        first = (axis + 1) % 3
+        second = (axis + 2) % 3
         for one in _PLACES:
             for other in _PLACES:
                 point = np.zeros(3)

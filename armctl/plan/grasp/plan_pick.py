@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,20 +14,13 @@ from armctl.core.validation import Array, IntArray
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.gripper.grip_frames import GripFrames
-from armctl.plan.grasp.attempts import Failures, ProvedMotion, Ways, line, longest_line, starts_of
+from armctl.plan.grasp.attempts import Failures, ProvedMotion, Ways, line, longest_line
 from armctl.plan.grasp.candidates import FINGER_GAP_M, candidates
+from armctl.plan.grasp.configurations import Configurations, Reached
 from armctl.plan.grasp.handling_scene import SUPPORT_GAP_M, HandlingScene
-from armctl.plan.ik.solve_batch import solve_ik_batch
 from armctl.plan.planner.move_free import FreeSpace, move_free_with
 
-_CHUNK = 64  # poses that are solved at a time
-_MAX_POSES = 1500  # of one search from one start
-_MAX_LINES = 60  # poses of which lines are tried, of one search
-_TURN_COST = 0.05  # 1/rad, of the joints' way
-# An arm of fewer joints cannot reach a pose exactly, such as that of a body which is tilted in the gripper by a milliradian.
-_JOINTS_FOR_ANY_POSE = 6
-_EXACT = (1e-5, 1e-4)  # m, rad
-_LOOSE = (1e-3, 2e-2)  # m, rad
+_MAX_POSES = 1000  # that are tried
 _NARROW_GAP_M = 0.012  # on either side of the body, of a gripper that opens no farther among other things
 
 
@@ -59,21 +51,12 @@ class HeldAt(NamedTuple):
     T_tip_body: Pose
 
 
-class Reached(NamedTuple):
-    """A pose of the tip with a configuration for it."""
-
-    row: int  # of the pose
-    tip: Pose  # T_world_tip, within the tolerance of the pose
-    q: Array  # (n,) rad
-
-
 def plan_pick(scene: HandlingScene, frames: GripFrames, q_start: Array, ways: Ways, up: Array) -> PickPlan | str:
     """The motions that pick a body with the best grasp that the arm can make; a sentence if there is none."""
-    tried = candidates(scene.body.parts, scene.body.pose, frames, up)[:_MAX_POSES]
-    tips = [candidate.grasp.tip for candidate in tried]
-    costs = np.array([candidate.cost for candidate in tried])
+    tried = candidates(scene.body.parts, scene.body.pose, frames, up, _MAX_POSES)
+    configurations = Configurations(scene.arm, tried.tips, tried.costs, q_start)
     refusal = ""
-    narrow = min((candidate.grasp.width for candidate in tried), default=0.0) + 2.0 * _NARROW_GAP_M
+    narrow = float(tried.widths.min()) + 2.0 * _NARROW_GAP_M
     for opening in _openings(frames.width_max, narrow):
         checker = scene.standing(opening)
         checker.require_provable()
@@ -83,12 +66,11 @@ def plan_pick(scene: HandlingScene, frames: GripFrames, q_start: Array, ways: Wa
             continue
         guarded = scene.guarded(checker, np.array([], np.int64), carried=False)
         failures = Failures()
-        for start in starts_of(scene.arm, q_start):
-            for reached in _reached(scene.arm, tips, costs, start, q_start, guarded, failures):
-                pick = _PickAttempt(scene, ways, up, checker, guarded, failures)
-                plan = pick.plan(reached, tried[reached.row].grasp, q_start, opening)
-                if plan is not None:
-                    return plan
+        pick = _PickAttempt(scene, ways, up, checker, guarded, failures)
+        for reached in configurations.free(guarded, failures):
+            plan = pick.plan(reached, tried.grasp(reached.row, reached.tip), q_start, opening)
+            if plan is not None:
+                return plan
         refusal = refusal or failures.text("grasps")
     return refusal
 
@@ -96,38 +78,6 @@ def plan_pick(scene: HandlingScene, frames: GripFrames, q_start: Array, ways: Wa
 def _openings(width_max: float, narrow: float) -> Sequence[float]:
     """The widths, m, to which a gripper is opened: fully, and narrower if there is no room for that."""
     return (width_max,) if narrow >= width_max else (width_max, narrow)
-
-
-def _reached(
-    arm: Arm,
-    tips: Sequence[Pose],
-    costs: Array,
-    start: Array,
-    q_start: Array,
-    checker: CollisionChecker,
-    failures: Failures,
-) -> Iterator[Reached]:
-    """Poses of the tip with configurations in which nothing touches, those with the least cost of each chunk first."""
-    count = 0
-    for first in range(0, len(tips), _CHUNK):
-        rows = slice(first, first + _CHUNK)
-        tolerances = _EXACT if arm.n >= _JOINTS_FOR_ANY_POSE else _LOOSE
-        found = solve_ik_batch(arm, tips[rows], start, 1, position_tolerance=tolerances[0], orientation_tolerance=tolerances[1])
-        failures.add_unreached((first + np.flatnonzero(~found.ok)).tolist())
-        free = []
-        for row in np.flatnonzero(found.ok).tolist():
-            hit = checker.hit(found.q[row])
-            if hit >= 0:
-                failures.add_contact(checker, hit, first + row)
-            else:
-                cost = float(costs[first + row] + _TURN_COST * np.abs(found.q[row] - q_start).max())
-                free.append((cost, first + row, found.q[row]))
-        for _, row, q in sorted(free, key=lambda each: each[:2]):
-            count += 1
-            if count > _MAX_LINES:
-                return
-            failures.pose = row
-            yield Reached(row, arm.fk(q), q)
 
 
 class _PickAttempt(NamedTuple):
@@ -140,11 +90,10 @@ class _PickAttempt(NamedTuple):
     guarded: CollisionChecker  # the same, for lines
     failures: Failures
 
-    def plan(self, reached: Reached, wanted: Grasp, q_start: Array, opening: float) -> PickPlan | None:
+    def plan(self, reached: Reached, grasp: Grasp, q_start: Array, opening: float) -> PickPlan | None:
         """The motions of a grasp at a configuration; None, and a failure more, if one of them cannot be made."""
         scene = self.scene
         arm = scene.arm
-        grasp = replace(wanted, tip=reached.tip)
         back = longest_line(
             arm, reached.q, grasp.tip, -self.ways.approach * grasp.pointing, self.ways.speed, self.guarded, self.failures
         )
@@ -196,7 +145,7 @@ def plan_place(
 ) -> PlacePlan | str:
     """The motions that put a held body down at one of some poses, the first ones preferred; a sentence if there are none."""
     arm = scene.arm
-    tips = [pose @ held.T_tip_body.inverse() for pose in poses]
+    tips = np.array([(pose @ held.T_tip_body.inverse()).matrix for pose in poses])
     carried = scene.carried(q_start, held.width, held.T_tip_body)
     carried.require_provable()
     support = scene.near_body(carried, q_start, SUPPORT_GAP_M)
@@ -205,11 +154,10 @@ def plan_place(
     attempt = _PlaceAttempt(scene, frames, ways, up, held, carried, leaving, failures)
     costs = np.linspace(0.0, 1.0, len(poses))
     everything = scene.guarded(carried, scene.pairs_of_body(carried), carried=True)
-    for start in starts_of(arm, q_start):
-        for reached in _reached(arm, tips, costs, start, q_start, everything, failures):
-            plan = attempt.plan(reached, poses[reached.row], q_start)
-            if plan is not None:
-                return plan
+    for reached in Configurations(arm, tips, costs, q_start).free(everything, failures):
+        plan = attempt.plan(reached, poses[reached.row], q_start)
+        if plan is not None:
+            return plan
     return failures.text("poses")
 
 

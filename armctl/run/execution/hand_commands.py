@@ -16,7 +16,7 @@ from armctl.core.handling import PickResult, PlaceResult
 from armctl.core.pose import Pose, computed_pose, rotation_from_vector, rotation_vector
 from armctl.core.result import GripResult, MoveResult
 from armctl.core.target import Target
-from armctl.core.validation import Array, number, vector
+from armctl.core.validation import number, vector
 from armctl.model.arm.arm import check_one_tip
 from armctl.model.collision.world_snapshot import WorldSnapshot, read_world
 from armctl.model.gripper.grip_frames import GripFrames, grip_frames
