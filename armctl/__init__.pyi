@@ -172,6 +172,7 @@ from .report.render.video import still as still
 from .report.report import Report as Report
 from .report.report import table as table
 from .run import links as links
+from .run.agent.server import serve_mcp as serve_mcp
 from .run.execution.contact_reaction import ContactReaction as ContactReaction
 from .run.execution.follow import StreamRun as StreamRun
 from .run.execution.path_move_options import PathMoveOptions as PathMoveOptions

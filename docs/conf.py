@@ -64,6 +64,7 @@ CHAPTERS = {
     "run.execution": Chapter("Commands", "How do I command an arm?"),
     "run.sim": Chapter("Simulation", "How do I try it without a robot?"),
     "run.links": Chapter("Robots", "How do I command a real arm?"),
+    "run.agent": Chapter("Language models", "How does a language model move an arm?"),
     "run": Chapter("Robots of other libraries", "How does another library use armctl?"),
     "report.render": Chapter("Pictures and videos", "How do I show it?"),
     "report": Chapter("Reports and plots", "How well did it follow?"),

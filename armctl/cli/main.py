@@ -18,6 +18,7 @@ from armctl.cli import (
     identify,
     iso9283,
     margins,
+    mcp,
     reach,
     reachability,
     robot,
@@ -31,7 +32,7 @@ from armctl.cli.common import DONE, WRONG_CALL, print_json
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.uninterrupted import uninterrupted_import
 
-_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, identify, simulate, study, view, tour, robot)
+_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, identify, simulate, study, view, tour, robot, mcp)
 _NOT_OPTIONS = {"action", "host", "robot", "law", "file", "run", "options"}
 
 

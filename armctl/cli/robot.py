@@ -29,14 +29,19 @@ def add(commands: common.Commands) -> None:
     )
     parser.add_argument("action", choices=["check", "view"], help="check: hold the position, and measure; view: a page")
     parser.add_argument("host", help="address of a Franka, serial port of an SO-101, any word for a simulated plant")
-    parser.add_argument("--link", choices=list(_MODELS), default="franka", help="which robot (default %(default)s)")
     parser.add_argument("--model", help="name or file of the model, by default that of the robot")
     parser.add_argument("--tool", help="gripper, hand or MJCF file at the tip of the model")
+    add_link(parser)
+    parser.add_argument("--duration", metavar="S", default="10", help="how long (default 10)")
+    common.add_json(parser)
+
+
+def add_link(parser: argparse.ArgumentParser) -> None:
+    """Adds the options that `link_from` reads."""
+    parser.add_argument("--link", choices=list(_MODELS), default="franka", help="which robot (default %(default)s)")
     parser.add_argument("--calibration", metavar="FILE", help="of an SO-101, as lerobot-calibrate wrote it")
     parser.add_argument("--payload", metavar="KG", default="0", help="that the robot is set to, in kg (default 0)")
-    parser.add_argument("--duration", metavar="S", default="10", help="how long (default 10)")
     parser.add_argument("--no-real-time", action="store_true", help="without real-time priority, for a simulated Franka")
-    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -46,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from armctl.run.links.robot import Robot
 
     arm = load(args.model or _MODELS[args.link], tool=args.tool)
-    with Robot(arm, _link(args, arm, payload), payload=payload) as robot:
+    with Robot(arm, link_from(args, arm, payload), payload=payload) as robot:
         if args.action == "view":
             from armctl.view import view_robot
 
@@ -57,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
     return common.DONE if check else common.NOT_REACHED
 
 
-def _link(args: argparse.Namespace, arm: Arm, payload: float) -> Link:
+def link_from(args: argparse.Namespace, arm: Arm, payload: float) -> Link:
+    """The link that the options name."""
     if args.link == "franka":
         from armctl.run.links.franka import Franka
 

@@ -291,7 +291,13 @@ def test_every_command_has_examples_that_its_parser_takes():
 
 def _least(command: str) -> list[str]:
     """The fewest words that a command takes."""
-    words = {"robots": [], "identify": ["panda", "run.csv"], "simulate": ["panda", "--ctrl", "0"], "robot": ["check", "host"]}
+    words = {
+        "robots": [],
+        "allow": [],
+        "identify": ["panda", "run.csv"],
+        "simulate": ["panda", "--ctrl", "0"],
+        "robot": ["check", "host"],
+    }
     return [command, *words.get(command, ["panda", "pd"] if command == "tune" else ["panda"])]
 
 

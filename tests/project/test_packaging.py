@@ -106,7 +106,7 @@ def declared() -> set[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     lines = [*project["dependencies"]]
-    for extra in ("view", "design", "study", "ros", "envs", "jax"):
+    for extra in ("view", "design", "study", "ros", "envs", "jax", "mcp"):
         lines += extras[extra]
     return {re.split(r"[<>=\[]", line)[0] for line in lines}
 
