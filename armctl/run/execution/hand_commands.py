@@ -115,6 +115,7 @@ class HandCommands(Commands):
             raise InputError(
                 f"body: the gripper already holds {held:.60}; place it, or open the gripper, before {body:.60} is picked"
             )
+        self._forget_lost()
         frames = self._grip_frames(hand.model)
         narrowest = least_width(found.parts)
         if narrowest > frames.width_max - 2.0 * MIN_FINGER_GAP_M:
@@ -188,7 +189,6 @@ class HandCommands(Commands):
     def _held_body(self) -> str:
         """The body that the gripper holds now; empty if there is none."""
 
-    @abstractmethod
     def _check_pickable(self, body: HandledBody) -> None:
         """InputError for a body that cannot be picked here."""
 
@@ -233,7 +233,8 @@ class HandCommands(Commands):
             return replace(planned, reason=f"the gripper did not open: {grip.reason}")
         self._put_down(body, plan.pose)
         moves.append(self._follow(plan.retreat))
-        error = self._find(body.name).pose.distance(plan.pose) if body.number else (np.nan, np.nan)
+        seen = self._measured_pose(body.name)
+        error = (np.nan, np.nan) if seen is None else seen.distance(plan.pose)
         reason = "" if moves[-1] else f"the arm did not get away: {moves[-1].reason}"
         if error[0] > tolerance:
             reason = f"it is {1e3 * error[0]:.3g} mm from where it was to be, at most {1e3 * tolerance:.3g} mm are allowed"
@@ -290,19 +291,42 @@ class HandCommands(Commands):
     def _grasped(self, scene: HandlingScene) -> None:
         """Notes that the gripper holds a body; one of the world is attached to the tip."""
         body = scene.body
-        pose = self._find(body.name).pose
-        if body.number:
-            loaded = scene.loaded_arm(self.tip.inverse() @ pose)
-            self._carried = Carried(name=body.name, upright=body.pose.rotation, loaded=loaded)
+        T_tip_body = self.tip.inverse() @ self._find(body.name).pose
+        is_of_model = body.number > 0
+        loaded = scene.loaded_arm(T_tip_body) if is_of_model else self.arm
+        self._carried = Carried(name=body.name, is_of_model=is_of_model, upright=body.pose.rotation, loaded=loaded)
+        if is_of_model:
+            self._carry(body, T_tip_body)
         else:
-            self._carried = Carried(name=body.name, upright=body.pose.rotation, loaded=self.arm)
             self.world.attach(body.name)
+
+    def _forget_lost(self) -> None:
+        """Notes that a body which was picked, and is not in the gripper any more, stands where it was seen last."""
+        carried = self._carried
+        self._carried = None
+        snapshot = self._snapshot
+        if carried is not None and (carried.is_of_model or (snapshot is not None and carried.name in snapshot.bodies)):
+            lost = find_body(self.arm, self._controlled.drive.data, snapshot, carried.name, self.tip)
+            self._put_down(lost, lost.pose)
+
+    def _measured_pose(self, name: str) -> Pose | None:
+        """T_world_body of a body, where it is measured; None where it is only known from what was commanded."""
+        return None
 
     def _put_down(self, body: HandledBody, pose: Pose) -> None:
         """Notes that a body stands at a pose."""
         self._carried = None
-        if not body.number:
+        snapshot = self._snapshot
+        if body.number:
+            self._set_down(body, pose)
+        elif snapshot is not None and snapshot.bodies[body.name].tip is not None:
             self.world.detach(body.name, pose)
+
+    def _carry(self, body: HandledBody, T_tip_body: Pose) -> None:
+        """Lets a body of the model move with the tip, where nothing else does that."""
+
+    def _set_down(self, body: HandledBody, pose: Pose) -> None:
+        """Lets a body of the model stand at a pose, where nothing else does that."""
 
     def _poses(self, where: Pose | ArrayLike | Region, body: HandledBody) -> Sequence[Pose]:
         """The poses of a body at which it may be put down, the preferred ones first."""

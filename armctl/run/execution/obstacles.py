@@ -28,6 +28,7 @@ class Carried:
     """A body that was picked."""
 
     name: str
+    is_of_model: bool  # and not of the world around the arm
     upright: Array  # (3, 3) how it stood before
     loaded: Arm  # the arm with it as a payload
 

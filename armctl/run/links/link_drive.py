@@ -73,6 +73,11 @@ class LinkDrive:
         return self._mirror.data
 
     @property
+    def mirror(self) -> RobotMirror:
+        """What the robot measures, and carries."""
+        return self._mirror
+
+    @property
     def lost(self) -> int:
         """Ticks that were lost since the link was opened."""
         return self._stream.lost

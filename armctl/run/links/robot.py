@@ -18,20 +18,23 @@ from armctl.core import hooks
 from armctl.core.errors import InputError, LinkError, ModelError
 from armctl.core.faces import named_after_itself
 from armctl.core.log import Log
+from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import flag, number, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker, why_not_checkable
+from armctl.model.gripper.gripper_model import GripperModel, find_gripper_model
 from armctl.model.loading.load import load
 from armctl.model.mjmodel.target_marker import TARGET
+from armctl.plan.grasp.handling_scene import HandledBody
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces, sample
 from armctl.plan.stream.refusal import contact_refusal
-from armctl.run.execution.commands import Commands
 from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
 from armctl.run.execution.follow import MovingTarget
+from armctl.run.execution.hand_commands import GripperAtHand, HandCommands
 from armctl.run.execution.move import PlannedMove
 from armctl.run.links.dry_run import DryRun, rehearsal_of
 from armctl.run.links.envelope import envelope_of
@@ -50,7 +53,7 @@ _SAMPLES = 400
 
 
 @named_after_itself
-class Robot(Commands):
+class Robot(HandCommands):
     """A robot, commanded as a `Simulation` is: the same moves, the same results, the same refusals.
 
     It is no safety function: an emergency stop, the maker's safety configuration and a fence are the user's.
@@ -134,6 +137,7 @@ class Robot(Commands):
         super().__init__(self._controlled)
         self._settle = link.settle if law is None else law.interface.settle or link.settle
         self._closed = False
+        self._hands: list[GripperModel] = []  # of the model, once it is needed
 
     @property
     def gripper(self) -> Hand:
@@ -304,13 +308,34 @@ class Robot(Commands):
         """
         return self._rehearsed(super().follow(target, duration=duration))
 
+    def _gripper_at_hand(self) -> GripperAtHand:
+        gripper = self.gripper
+        if not self._hands:
+            self._hands.append(find_gripper_model(self.arm))
+        return GripperAtHand(gripper, self._hands[0])
+
+    def _held_body(self) -> str:
+        carried = self._carried
+        return carried.name if carried is not None and self._host.read_hand().grasps else ""
+
+    def _carry(self, body: HandledBody, T_tip_body: Pose) -> None:
+        self._drive.mirror.carry(body.number, self.arm.tip_frames[0], T_tip_body)
+
+    def _set_down(self, body: HandledBody, pose: Pose) -> None:
+        self._drive.mirror.put_down(body.number, pose)
+
+    @property
+    def _held(self) -> dict[str, int]:
+        carried = self._carried
+        return {carried.name: self.arm.tip_body} if carried is not None and carried.is_of_model else {}
+
     def _refusal(self, pieces: Pieces) -> str:
         """Why a motion of `follow` may not be sent; empty if it may."""
         return self._drive.refusal(pieces) or ("" if self._allows_contact else self._contact(pieces))
 
     def _contact(self, pieces: Pieces) -> str:
         """What a motion touches; empty if it is proved free."""
-        checker = self._obstacles.checker()
+        checker = self._obstacles.checker((), self._held)
         checker.require_provable()
         refused = contact_refusal(checker, pieces, 0.0)
         return "" if refused is None else refused.reason

@@ -16,6 +16,7 @@ from armctl.core.errors import InputError, LimitError, UnknownNameError
 from armctl.core.faces import named_after_itself
 from armctl.core.log import Log
 from armctl.core.other_names import with_hints
+from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import flag, number, vector
 from armctl.model.arm.arm import Arm
@@ -256,6 +257,9 @@ class Simulation(HandCommands):
                 f"body: {body.name:.60} is only seen: the physics of a simulation does not contain what is in its world; "
                 "give it a mass in a World, and load that with armctl.load(..., scene=world)"
             )
+
+    def _measured_pose(self, name: str) -> Pose | None:
+        return self._find(name).pose
 
     @property
     def _held(self) -> dict[str, int]:

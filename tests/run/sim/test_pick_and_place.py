@@ -53,6 +53,14 @@ def gantry(tmp_path_factory: pytest.TempPathFactory) -> armctl.Arm:
     return armctl.load(path, scene=scene())
 
 
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> armctl.Arm:
+    """The same arm that knows nothing of the scene."""
+    path = tmp_path_factory.mktemp("bare") / "gantry.xml"
+    path.write_text(GANTRY)
+    return armctl.load(path)
+
+
 def test_a_brick_is_picked_and_placed_and_nothing_else_is_touched(gantry: armctl.Arm):
     sim = armctl.Simulation(gantry)
     picked = sim.pick("brick")
@@ -148,6 +156,27 @@ def test_an_arm_without_a_gripper_and_a_body_that_is_only_seen_are_refused(gantr
     sim.world.add("seen", armctl.Box([0.04] * 3), [0, 0.3, TOP + 0.02])
     with pytest.raises(armctl.InputError, match="seen is only seen"):
         sim.pick("seen")
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_a_robot_picks_and_places_what_its_model_or_its_world_has(gantry: armctl.Arm, bare: armctl.Arm, seen: bool):
+    link = armctl.links.PlantLink(gantry)
+    robot = armctl.Robot(bare if seen else gantry, link, speed=1.0, tip_speed=1.0)
+    if seen:
+        for name, body in scene().snapshot().bodies.items():
+            robot.world.add(name, body.shape, body.pose, mass=body.mass)
+    picked = robot.pick("brick")
+    assert picked, picked.reason
+    assert picked.held
+    assert not robot.move_to(armctl.Pose([0.3, -0.29, TOP + 0.12], rpy=[np.pi, 0, 0])), "the brick would be in the post"
+    with pytest.raises(armctl.InputError, match="already holds brick"):
+        robot.pick("far")
+    placed = robot.place("brick", [0.0, -0.1, TOP + 0.025])
+    assert placed, placed.reason
+    assert np.isnan(placed.position_error)
+    where = robot.world["brick"].pose.position if seen else robot.data.body("brick").xpos
+    assert where == pytest.approx([0.0, -0.1, TOP + 0.025], abs=1e-6)
+    assert robot.pick("brick"), "it is where the robot put it"
 
 
 # A frustum whose sides lean by 10 degrees
