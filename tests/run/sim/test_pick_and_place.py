@@ -158,7 +158,7 @@ def test_an_arm_without_a_gripper_and_a_body_that_is_only_seen_are_refused(gantr
         sim.pick("seen")
 
 
-@pytest.mark.parametrize("seen", [False, True])
+@pytest.mark.parametrize("seen", [pytest.param(False, marks=pytest.mark.full), True])
 def test_a_robot_picks_and_places_what_its_model_or_its_world_has(gantry: armctl.Arm, bare: armctl.Arm, seen: bool):
     link = armctl.links.PlantLink(gantry)
     robot = armctl.Robot(bare if seen else gantry, link, speed=1.0, tip_speed=1.0)
