@@ -13,6 +13,7 @@ from armctl.core.validation import Array, BoolArray, as_array, choice, flag, ins
 from armctl.envs.actions import ACTION_MODES
 from armctl.envs.batch_simulation import BatchSimulation
 from armctl.envs.randomization import Randomization
+from armctl.envs.step_gate import StepGate
 from armctl.envs.tasks import TASKS
 from armctl.envs.tasks.task import ArmSource, RobotLike, Task
 from armctl.lab.study.factors import Range
@@ -116,6 +117,7 @@ class Batch:
         randomize: Mapping[str, Range] | None = None,
         reward: str = "dense",
         load_options: Mapping[str, Any] | None = None,
+        gate: bool = False,
     ):
         """Episodes that wait for `reset`; the arguments are those of `ArmVectorEnv`."""
         mode = ACTION_MODES[choice("action", action, ACTION_MODES)]
@@ -145,6 +147,8 @@ class Batch:
             has_contacts=has_contacts,
             randomization=self._randomization,
         )
+        # Between the actions and the joints; None if all actions pass
+        self.gate = StepGate(self.task, self.rows) if flag("gate", gate) else None
         self.observer = ObservationBuilder(self.task, self.rows)  # what is observed
         self.goal = np.zeros((count, 3))  # (count, 3) m, the goal of each episode
         self.goal_number = np.zeros(count, np.int64)  # (count,) which of the task's goals it is
@@ -169,6 +173,8 @@ class Batch:
             self.goal_number[row] = episode.goal
             if episode.obstacle is not None:
                 self.obstacle[row] = episode.obstacle
+            if self.gate is not None:
+                self.gate.reset(row, episode.obstacle)
             chosen.append(row)
         self._has_own_goal[chosen] = goal is not None
         if goal is not None:
@@ -191,6 +197,8 @@ class Batch:
                 "range that its mode has, and those between 1 and 10 count as 1"
             )
         self.rows.action[:] = given
+        if self.gate is not None:
+            self.gate.admit()
         self.rows.step()
         self.steps += 1
         if self.task.moves_goal:
@@ -211,6 +219,8 @@ class Batch:
         information: dict[str, NDArray[Any]] = {"is_success": success, "distance": distance}
         if self.task.obstacle:
             information = {"is_success": success & ~self.was_touched, "distance": distance, "touched": np.asarray(touched)}
+        if self.gate is not None:
+            information["refusal"] = np.array(self.gate.refusals)
         return reward, information
 
     def reward(self, achieved: Any, desired: Any, info: Any) -> NDArray[np.floating]:

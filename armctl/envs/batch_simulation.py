@@ -102,7 +102,8 @@ class BatchSimulation:
         self.simulated = ArmCopies(task, np.diff(self._cuts), has_contacts=has_contacts)
         law = controller_by_name(controller, arm)
         assert has_compiled_law(law, n)  # as all controllers that have a name
-        self._core = self._compiled_batch(law.begin(State(arm.home, np.zeros(n), 0.0, arm.dt)), randomization.max_delay)
+        self._law = law.begin(State(arm.home, np.zeros(n), 0.0, arm.dt))
+        self._core = self._compiled_batch(self._law, randomization.max_delay, mode.kind, self.action, ticks)
         for row in range(count):
             self._core.set_simulation(row, self.simulated.model(row), self.simulated.data(row))
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -138,6 +139,20 @@ class BatchSimulation:
         """Changes targets and references (n,) of the joints as a step with an action does; the arms stay where they are."""
         self._core.rehearse(np.ascontiguousarray(action, dtype=np.float64), target, q_ref, v_ref)
 
+    def target_after(self, row: int) -> Array:
+        """(n,) rad, the joint targets of a copy after its action; nothing moves."""
+        target = self.target[row].copy()
+        self.rehearse(self.action[row], target, *self.reference(row))
+        return target
+
+    def reference(self, row: int) -> tuple[Array, Array]:
+        """(n,) rad and rad/s, where the reference of the joints of a copy is; copies."""
+        return self._q_ref[row].copy(), self._v_ref[row].copy()
+
+    def tick_by_tick(self) -> _core.EnvironmentBatch:
+        """What rehearses single ticks of the reference: an action (n,) of zeros leaves its targets where they are."""
+        return self._compiled_batch(self._law, 0, _core.ActionMode.joint_delta, np.zeros((self.count, self.arm.n)), 1)
+
     def find_tips(self, rows: Sequence[int] | IntArray) -> None:
         positions, rotations = self.arm.fk_many(self.q[rows])
         self.tip[rows, :3] = positions
@@ -148,10 +163,14 @@ class BatchSimulation:
             self._pool.shutdown()
             self._pool = None
 
-    def _compiled_batch(self, law: _core.Law, max_delay: int) -> _core.EnvironmentBatch:
-        """The compiled steps of all copies, which work on the arrays of this object."""
+    def _compiled_batch(
+        self, law: _core.Law, max_delay: int, kind: _core.ActionMode, action: Array, ticks: int
+    ) -> _core.EnvironmentBatch:
+        """The compiled steps of all copies, which work on the arrays of this object; actions (count, k) for so many ticks."""
         arm = self.arm
         mode = self.mode
+        size = arm.n if action is not self.action else mode.size(arm)
+        noise = self.signals.noise if len(self.signals.noise) and ticks == self.ticks else None
         grip = self._grip
         objects = self.simulated.object_addresses
         home = arm.fk(arm.home)
@@ -171,7 +190,7 @@ class BatchSimulation:
             object_addresses=None if objects is None else np.array(objects, np.int64),
             obstacle=self.simulated.obstacle_geom,
             max_delay=max_delay,
-            action=self.action,
+            action=action,
             q=self.q,
             v=self.v,
             target=self.target,
@@ -181,10 +200,10 @@ class BatchSimulation:
             opening=self.opening,
             object=self.object,
             touched=self.touched,
-            noise=self.signals.noise if len(self.signals.noise) else None,
-            mode=mode.kind.value,
-            size=mode.size(arm),
-            ticks=self.ticks,
+            noise=noise,
+            mode=kind.value,
+            size=size,
+            ticks=ticks,
             dt=arm.dt,
             joint_scale=mode.joint_scale * self.ticks * arm.dt,
             position_scale=mode.position_scale,

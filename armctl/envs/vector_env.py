@@ -45,6 +45,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         reward: str = "dense",
         goal_conditioned: bool = False,
         load_options: Mapping[str, Any] | None = None,
+        gate: bool = False,
     ):
         """Environments that wait for `reset`.
 
@@ -63,6 +64,9 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             reward: "dense" or "sparse".
             goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.
             load_options: Keyword arguments of `armctl.load`, such as `{"tool": "robotiq_2f85"}`.
+            gate: Whether an action passes only if the way of the joints until they rest is proved clear. Else the targets of
+                the joints move a part of the way, or stay, and `info["refusal"]` says why. For Reach, ReachPast and Track, with
+                joint_delta, joint_target and cartesian_delta.
 
         Raises:
             InputError: An argument is not possible, with the reason.
@@ -81,6 +85,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             randomize=randomize,
             reward=reward,
             load_options=load_options,
+            gate=gate,
         )
         self._has_goals = flag("goal_conditioned", goal_conditioned)
         self.num_envs = len(self.batch.steps)
