@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, instance, number, shown, vector
+from armctl.core.validation import Array, frozen, instance, number, shown, vector
 
 # Of the search for a configuration.
 _FIRST_STEP = 0.2  # of the range of each joint, and at most of a turn
 _DISTANCE_FROM_LIMITS = 0.01  # of the range: controllers that respect limits act differently there
 _GROWTH = 1.5  # of the step after a success, and to the power of -1/4 after a failure: Rechenberg's rule of 1/5 of successes
+
+# What a field is where nothing is given; infinite for all others.
+_LEFT_OUT = {"v_min": -np.inf, "a_min": -np.inf, "velocity_offset": 0.0}
 
 _MAX_SAMPLES = 10**7  # in one array; more is a mistake, and takes gigabytes
 
@@ -26,13 +30,19 @@ class Limits:
     Attributes:
         q_min: Minimum position, rad (m for a slide joint).
         q_max: Maximum position, rad.
-        v_max: Maximum speed, rad/s.
+        v_max: Maximum velocity, rad/s.
         a_max: Maximum acceleration, rad/s^2.
         j_max: Maximum jerk, rad/s^3.
         tau_max: Maximum torque, N m (N for a slide joint).
         stall_torque: Torque of a DC motor at rest and full voltage, N m. At a speed v it gives
             `|tau + stall_torque v / no_load_speed| <= stall_torque`. `inf`, or left out, for a torque that no voltage limits.
         no_load_speed: Its speed at full voltage without a load, rad/s.
+        v_min: Minimum velocity, rad/s, less than 0; `-inf`, or left out, for `-v_max`.
+        a_min: Minimum acceleration, rad/s^2, less than 0; `-inf`, or left out, for `-a_max`.
+        deceleration_limit: rad/s^2. At a distance d from an end of its range, a joint moves towards this end with at most
+            `sqrt(2 deceleration_limit d) - velocity_offset`, as Franka publishes it for its FR3; where that is less than 0,
+            it does not move towards the end. `inf`, or left out, for a velocity limit that does not depend on the position.
+        velocity_offset: rad/s, at least 0; 0, or left out, for none.
     """
 
     q_min: Array
@@ -43,15 +53,29 @@ class Limits:
     tau_max: Array
     stall_torque: Array = None  # type: ignore[assignment]  # infinite
     no_load_speed: Array = None  # type: ignore[assignment]
+    v_min: Array = None  # type: ignore[assignment]
+    a_min: Array = None  # type: ignore[assignment]
+    deceleration_limit: Array = None  # type: ignore[assignment]
+    velocity_offset: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = vector("q_min", self.q_min, finite=False).size
         for field in fields(self):
             given = getattr(self, field.name)
-            value = vector(field.name, np.full(n, np.inf) if given is None else given, n, finite=False)
+            left_out = _left_out(field.name, n)
+            if given is None or given is left_out:  # also in `dataclasses.replace`, which so takes less time
+                object.__setattr__(self, field.name, left_out)
+                continue
+            value = vector(field.name, given, n, finite=field.name == "velocity_offset")
             if np.isnan(value).any():
                 raise InputError(f"{field.name}: joint {int(np.isnan(value).argmax())} is NaN, expected a number")
-            if not field.name.startswith("q_") and not (value > 0).all():
+            if field.name in ("v_min", "a_min"):
+                if not (value < 0).all():
+                    raise InputError(f"{field.name}: every value must be less than 0, got {value.max():g}")
+            elif field.name == "velocity_offset":
+                if not (value >= 0).all():
+                    raise InputError(f"{field.name}: every value must be at least 0, got {value.min():g}")
+            elif not field.name.startswith("q_") and not (value > 0).all():
                 raise InputError(f"{field.name}: every value must be greater than 0, got {value.min():g}")
             object.__setattr__(self, field.name, value)
         if not (self.q_min <= self.q_max).all():
@@ -111,12 +135,91 @@ class Limits:
         """The limits for motions at a fraction of the full speed: the same motions, slowed down in time by 1/speed.
 
         Args:
-            speed: In (0, 1]; it scales v_max by speed, a_max by speed^2 and j_max by speed^3, and nothing else.
+            speed: In (0, 1]; it scales velocities by speed, accelerations by speed^2 and j_max by speed^3, and nothing else.
         """
         speed = check_speed(speed)
         if speed == 1.0:
             return self
-        return replace(self, v_max=speed * self.v_max, a_max=speed**2 * self.a_max, j_max=speed**3 * self.j_max)
+        slow = replace(self, v_max=speed * self.v_max, a_max=speed**2 * self.a_max, j_max=speed**3 * self.j_max)
+        if np.isfinite(self.v_min).any() or np.isfinite(self.a_min).any():
+            slow = replace(slow, v_min=speed * self.v_min, a_min=speed**2 * self.a_min)
+        if not self.depends_on_position:
+            return slow
+        return replace(
+            slow, deceleration_limit=speed**2 * self.deceleration_limit, velocity_offset=speed * self.velocity_offset
+        )
+
+    @cached_property
+    def v_low(self) -> Array:
+        """(n,) rad/s, the lowest velocities away from the ends of the range: `v_min`, or `-v_max` where there is none."""
+        return frozen(np.where(np.isfinite(self.v_min), self.v_min, -self.v_max))
+
+    @cached_property
+    def a_low(self) -> Array:
+        """(n,) rad/s^2, the lowest accelerations: `a_min`, or `-a_max` where there is none."""
+        return frozen(np.where(np.isfinite(self.a_min), self.a_min, -self.a_max))
+
+    @cached_property
+    def depends_on_sign(self) -> bool:
+        """Whether velocity or acceleration of a joint has other limits in one direction than in the other."""
+        return bool((self.v_low != -self.v_max).any() or (self.a_low != -self.a_max).any())
+
+    @cached_property
+    def depends_on_position(self) -> bool:
+        """Whether a velocity limit shrinks near an end of a joint's range."""
+        is_bounded = np.isfinite(self.q_min) | np.isfinite(self.q_max)
+        return bool((np.isfinite(self.deceleration_limit) & is_bounded).any())
+
+    @cached_property
+    def symmetric(self) -> Limits:
+        """Limits that are the same in both directions: the smaller ones."""
+        if not self.depends_on_sign:
+            return self
+        v_max = np.minimum(self.v_max, -self.v_low)
+        a_max = np.minimum(self.a_max, -self.a_low)
+        return replace(self, v_max=v_max, a_max=a_max, v_min=None, a_min=None)  # type: ignore[arg-type]
+
+    @cached_property
+    def plain(self) -> Limits:
+        """Limits that depend neither on the sign nor on the position: `symmetric`, the same at the ends of the range."""
+        if not self.depends_on_position:
+            return self.symmetric
+        return replace(self.symmetric, deceleration_limit=None)  # type: ignore[arg-type]
+
+    @cached_property
+    def larger_sides(self) -> tuple[Array, Array, Array]:
+        """The greatest velocity, acceleration and jerk in either direction, each (n,)."""
+        return frozen(np.maximum(self.v_max, -self.v_low)), frozen(np.maximum(self.a_max, -self.a_low)), self.j_max
+
+    def velocity_bounds(self, q: ArrayLike) -> tuple[Array, Array]:
+        """The velocities that are allowed at positions, which may be outside [q_min, q_max].
+
+        Args:
+            q: (n,) or (T, n) rad.
+
+        Returns:
+            The lowest and the highest ones, each of the same shape, rad/s.
+
+        Raises:
+            InputError: The positions are not numbers, or not of n joints.
+        """
+        q = self._positions(q)
+        low = np.broadcast_to(self.v_low, q.shape)
+        high = np.broadcast_to(self.v_max, q.shape)
+        if not self.depends_on_position:
+            return low, high
+        with np.errstate(invalid="ignore"):  # infinity of a joint without limits
+            up = np.sqrt(2.0 * self.deceleration_limit * np.maximum(self.q_max - q, 0.0)) - self.velocity_offset
+            down = np.sqrt(2.0 * self.deceleration_limit * np.maximum(q - self.q_min, 0.0)) - self.velocity_offset
+        is_limited = np.isfinite(self.deceleration_limit)
+        up = np.where(is_limited, np.maximum(up, 0.0), np.inf)
+        down = np.where(is_limited, np.maximum(down, 0.0), np.inf)
+        return np.maximum(low, -down), np.minimum(high, up)
+
+    @cached_property
+    def end_zones(self) -> Array:
+        """(n,) rad, how near to an end of its range a joint must not move towards it; 0 without such a limit."""
+        return frozen(self.velocity_offset**2 / (2.0 * self.deceleration_limit))
 
     @property
     def voltage_damping(self) -> Array:
@@ -134,6 +237,12 @@ class Limits:
         if positions.ndim not in (1, 2) or positions.shape[-1] != len(self.q_min):
             raise InputError(f"q: expected shape ({len(self.q_min)},) or (T, {len(self.q_min)}), got {positions.shape}")
         return positions
+
+
+@lru_cache(maxsize=256)
+def _left_out(name: str, n: int) -> Array:
+    """(n,) what a field of limits is where nothing is given."""
+    return frozen(np.full(n, _LEFT_OUT.get(name, np.inf)))
 
 
 def torque_shares(limits: Limits, tau: Array, v: Array) -> Array:

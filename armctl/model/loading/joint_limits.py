@@ -43,6 +43,8 @@ class JointData:
     j_max: Array | None = None  # (n,) rad/s^3, or None
     tau_max: Array | None = None  # (n,) N m, or None
     has_defaults: bool = False  # whether v_max is a default for some of them
+    deceleration_limit: Array | None = None  # (n,) rad/s^2, infinite without one, or None; see `Limits`
+    velocity_offset: Array | None = None  # (n,) rad/s, or None
 
     def behind(self, v_max: Array) -> Self:
         """The limits of these joints behind others with default speeds (k,), accelerations and jerks."""
@@ -52,6 +54,8 @@ class JointData:
             "a_max": a_max,
             "j_max": a_max / DEFAULT_ACCELERATION_TIME_S,
             "tau_max": np.full(len(v_max), np.inf),
+            "deceleration_limit": np.full(len(v_max), np.inf),
+            "velocity_offset": np.zeros(len(v_max)),
         }
         own = {name: getattr(self, name) for name in first}
         limits = {name: None if own[name] is None else np.concatenate([first[name], own[name]]) for name in first}
@@ -59,7 +63,8 @@ class JointData:
 
     def repeated(self, arms: int) -> Self:
         """The limits of so many equal arms, one after the other."""
-        limits = {name: getattr(self, name) for name in ("v_max", "a_max", "j_max", "tau_max")}
+        names = ("v_max", "a_max", "j_max", "tau_max", "deceleration_limit", "velocity_offset")
+        limits = {name: getattr(self, name) for name in names}
         return replace(self, **{name: None if each is None else np.tile(each, arms) for name, each in limits.items()})
 
 
@@ -183,6 +188,8 @@ def joint_limits(
         tau_max=tau_max,
         stall_torque=stall,
         no_load_speed=no_load,
+        deceleration_limit=given.deceleration_limit,  # type: ignore[arg-type]  # None is no limit
+        velocity_offset=given.velocity_offset,  # type: ignore[arg-type]
     )
     return limits, {"q_min": "model", "q_max": "model", **sources}, frozenset(defaults)
 

@@ -3,7 +3,7 @@
 import copy
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from armctl.core.errors import ModelError
 from armctl.core.note import Note
-from armctl.core.validation import shown
+from armctl.core.validation import Array, shown
 from armctl.model.loading.inertias import correct_inertias, inferred_inertias
 from armctl.model.loading.joint_limits import JointData, default_speed
 from armctl.model.loading.urdf_file import UrdfFile
@@ -66,7 +66,8 @@ def speed_limits(file: UrdfFile | None, model: mujoco.MjModel, transmissions: Se
     """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none. None if none has one."""
     if file is None:
         return None
-    given = {joint.get("name"): joint.find("limit") for joint in file.root.findall("joint")}  # transmissions name them too
+    elements = {joint.get("name", ""): joint for joint in file.root.findall("joint")}  # transmissions name them too
+    given = {name: joint.find("limit") for name, joint in elements.items()}
     names = {joint: joint_name(model, joint) for each in transmissions for joint in each.coupled}
     speeds = {joint: _speed(name, given.get(name)) for joint, name in names.items()}
     if not any(speed > 0 for speed in speeds.values()):
@@ -75,7 +76,39 @@ def speed_limits(file: UrdfFile | None, model: mujoco.MjModel, transmissions: Se
     speeds = {joint: speed if speed > 0 else default_speed(model, joint) for joint, speed in speeds.items()}
     v_max = np.array([min(speeds[joint] / abs(mimic.ratio) for joint, mimic in each.coupled.items()) for each in transmissions])
     source = f"URDF; default for {', '.join(missing)}" if missing else "URDF"
-    return JointData(source, v_max, has_defaults=bool(missing))
+    near_ends = _limits_near_ends(elements, [names[each.joint] for each in transmissions])
+    return JointData(source, v_max, has_defaults=bool(missing), **near_ends)
+
+
+def _limits_near_ends(elements: Mapping[str, ElementTree.Element], names: Sequence[str]) -> dict[str, Array]:
+    """What `position_based_velocity_limits` of joints say, as Franka's URDF of the FR3 has them; empty without any."""
+    found = [elements[name].find("position_based_velocity_limits") if name in elements else None for name in names]
+    if not any(each is not None for each in found):
+        return {}
+    defaults = {"deceleration_limit": np.inf, "velocity_offset": 0.0}
+    values = {
+        key: np.array([_number(name, key, each, default) for name, each in zip(names, found, strict=True)])
+        for key, default in defaults.items()
+    }
+    for key, is_wrong in (
+        ("deceleration_limit", ~(values["deceleration_limit"] > 0.0)),
+        ("velocity_offset", ~((values["velocity_offset"] >= 0.0) & np.isfinite(values["velocity_offset"]))),
+    ):
+        if is_wrong.any():
+            i = int(is_wrong.argmax())
+            raise ModelError(f"joint {names[i]!r}: its {key} {values[key][i]:g} must be a positive number; correct the URDF")
+    return values
+
+
+def _number(joint: str, key: str, element: ElementTree.Element | None, default: float) -> float:
+    """A number of an element; the default where there is none."""
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    try:
+        return float(text)
+    except ValueError:
+        raise ModelError(f"joint {joint!r}: its {key} {text!r} is not a number") from None
 
 
 def _speed(joint: str, limit: ElementTree.Element | None) -> float:

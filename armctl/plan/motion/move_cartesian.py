@@ -238,7 +238,7 @@ def _planned(arm: Arm, q_start: Pose | Setpoint | ArrayLike, request: _Request, 
 def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
     parts = request.parts
     check_one_tip(arm)
-    planning = planning_arm(arm, options.get("speed", 1.0))
+    planning = planning_arm(arm, options.get("speed", 1.0), is_signed=True)
     if isinstance(q_start, Pose):
         return _best_branch(arm, q_start, lambda q: _plan(arm, q, request, options))
     q = arm.checked("q_start", q_start)

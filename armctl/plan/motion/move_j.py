@@ -16,6 +16,7 @@ from armctl.model.arm.arm import Arm
 from armctl.plan.motion.checks import goal_state, is_moving, limits_from, planning_arm, read_duration, start_state
 from armctl.plan.motion.given_duration import SAME_DURATION, lasting, require_long_enough
 from armctl.plan.motion.moving_start import stop_from
+from armctl.plan.motion.timing.end_limits import gentle_limits, slowed_into
 from armctl.plan.motion.timing.otg import LONGER, JointState, ProfileSolver, solve_pieces
 from armctl.plan.motion.timing.teaching_profiles import quintic, trapezoid
 from armctl.plan.motion.torque_limits import MAX_STRETCHES, check_torque, slowed_relative_to, stretch_for, within_torque
@@ -66,7 +67,7 @@ def move_j(
         PlanError: A motor cannot hold the arm at some point of the path, or saturates in every motion from a moving start; or
             the duration is too short.
     """
-    planning = planning_arm(arm, speed)
+    planning = planning_arm(arm, speed, is_signed=True)
     start = start_state(planning, q_start)
     move = _Move(arm, planning.limits, start, goal_state(planning, "q_goal", q_goal), flag("straight", straight))
     seconds = read_duration(duration)
@@ -94,16 +95,31 @@ class _Move(NamedTuple):
 
     def planned(self, share: float = 1.0, shortest: float = 0.0) -> JointTrajectory:
         """The fastest one that lasts at least so many seconds, with a share of the limits of acceleration and jerk."""
-        gentle = replace(self.limits, a_max=share * self.limits.a_max, j_max=share * self.limits.j_max)
-        pieces = (_line if self.is_straight else _each_joint)(gentle, self.start, self.goal, shortest)
+        limits = self.limits
+        gentle = replace(limits, a_max=share * limits.a_max, j_max=share * limits.j_max)
+        if np.isfinite(limits.a_min).any():
+            gentle = replace(gentle, a_min=share * limits.a_min)
+        plan = _line if self.is_straight else _each_joint
+        pieces = plan(gentle, self.start, self.goal, shortest)
+        if limits.depends_on_position and not is_inside(pieces, limits_from(limits, self.start)):
+            pieces = plan(self._stopping_gently(gentle), self.start, self.goal, shortest)
+            pieces = pieces if self.moves else slowed_into(pieces, limits)
         return JointTrajectory(*pieces, self.arm.joint_names, self.arm.limits, units=self.arm.units)
+
+    def _stopping_gently(self, limits: Limits) -> Limits:
+        """The limits with which joints decelerate so much that the ends of their ranges allow their velocities."""
+        low = np.minimum(self.start.q, self.goal.q)
+        high = np.maximum(self.start.q, self.goal.q)
+        return gentle_limits(limits, low, high, up=self.goal.q > self.start.q, down=self.goal.q < self.start.q)
 
     def of_textbooks(self, profile: str) -> JointTrajectory:
         """One from rest to rest whose jerk is not limited, slowed down as a whole where a motor would saturate."""
         if self.moves or not self.is_straight:
             raise InputError(f"profile: {profile!r} is for straight moves from rest to rest; leave it out for others")
         arm = self.arm
-        pieces = _PROFILES[profile](self.start.q, self.goal.q, (self.limits.v_max, self.limits.a_max, self.limits.j_max))
+        symmetric = self.limits.symmetric
+        pieces = _PROFILES[profile](self.start.q, self.goal.q, (symmetric.v_max, symmetric.a_max, symmetric.j_max))
+        pieces = slowed_into(pieces, self.limits)
         free = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
         motion = free
         for _ in range(MAX_STRETCHES):
@@ -178,10 +194,15 @@ def _line(limits: Limits, start: Setpoint, goal: Setpoint, shortest: float) -> P
             raise InputError("q_goal: its velocity leads off the straight line from q_start; plan with straight=False")
         raise InputError("q_start: its motion leads off the straight line to q_goal; plan with straight=False")
     with np.errstate(divide="ignore"):
-        v_max = np.array([(limits.v_max / np.abs(direction)).min()])
-        a_max = np.array([(limits.a_max / np.abs(direction)).min()])
+        v_max = np.array([(np.where(direction < 0.0, -limits.v_low, limits.v_max) / np.abs(direction)).min()])
+        a_max = np.array([(np.where(direction < 0.0, -limits.a_low, limits.a_max) / np.abs(direction)).min()])
         j_max = np.array([(limits.j_max / np.abs(direction)).min()])
-    knots, s = solve_pieces(ProfileSolver(v_max, a_max, j_max), first, last._replace(q=np.array([length])), shortest=shortest)
+        lows = None
+        if limits.depends_on_sign:
+            v_min = np.array([-(np.where(direction < 0.0, limits.v_max, -limits.v_low) / np.abs(direction)).min()])
+            lows = v_min, np.array([-(np.where(direction < 0.0, limits.a_max, -limits.a_low) / np.abs(direction)).min()])
+    solver = ProfileSolver(v_max, a_max, j_max, lows)
+    knots, s = solve_pieces(solver, first, last._replace(q=np.array([length])), shortest=shortest)
     coefficients = s * direction
     coefficients[:, 0] += start.q
     return Pieces(knots, coefficients)

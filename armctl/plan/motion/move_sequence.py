@@ -97,7 +97,7 @@ def _ramp(arm: Arm, motion: JointTrajectory, radius: float, at_end: bool) -> flo
 def _rounded(arm: Arm, first: Pieces, second: Pieces, overlap: float) -> Pieces:
     """Both with the overlap, or with less if the corner would leave the position limits."""
     unlimited: Array = np.full(arm.n, np.inf)
-    positions_only = replace(arm.limits, v_max=unlimited, a_max=unlimited, j_max=unlimited)
+    positions_only = replace(arm.limits.plain, v_max=unlimited, a_max=unlimited, j_max=unlimited)
     while overlap > _MIN_OVERLAP_S:
         pieces = overlapped(first, second, overlap)
         if is_inside(pieces, positions_only):

@@ -19,14 +19,16 @@ from armctl.plan.motion.checks import planning_arm, read_duration
 from armctl.plan.motion.given_duration import SAME_DURATION, lasting
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.sections import Via, is_limited, pause, within_sections
+from armctl.plan.motion.timing.end_limits import gentle_in_both_directions, room_to_stop, slowed_into
 from armctl.plan.motion.timing.otg import slowed_to_bounds, straight_rest_to_rest
 from armctl.plan.motion.timing.waypoint_path import Passage, along_smooth_paths, may_be_smooth, straight_runs
 from armctl.plan.motion.timing.waypoint_timing import TimingCandidate, WaypointSearch
 from armctl.plan.motion.torque_limits import slowed_relative_to, within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, joined
-from armctl.plan.motion.trajectory.limit_check import is_inside
+from armctl.plan.motion.trajectory.limit_check import is_inside, piece_extremes
 from armctl.plan.motion.trajectory.piecewise import standing
 
+_GENTLE_SEARCHES = 2  # of motions that decelerate as gently as the ends of the ranges ask for
 _SAME_WAYPOINT = 1e-9  # rad (m); closer waypoints count as one
 _TOO_CLOSE = "move_through: rounding takes every motion through these waypoints outside the limits; place them farther apart"
 
@@ -90,8 +92,7 @@ def _flowing(arm: Arm, limits: Limits, vias: Sequence[Via], speed: float) -> Joi
     sections = [section for section, is_apart in zip(vias[1:], apart, strict=True) if is_apart]
     if len(points) == 1:
         return JointTrajectory(*standing(points[0]), arm.joint_names, arm.limits, units=arm.units)
-    search = WaypointSearch(points, limits)
-    passage = _fastest(search, may_be_smooth(points, limits))
+    passage = _fastest_within(points, limits, is_smooth=may_be_smooth(points, limits))
     free = _trajectory(arm, passage)
     if any(map(is_limited, sections)):
         return within_sections(arm, free, passage.times[1:], sections)
@@ -119,11 +120,41 @@ def _least_stopping_time(points: Array, limits: Limits) -> float:
 
 def through_waypoints(arm: MovingJoints, points: Array) -> JointTrajectory:
     """As `move_through` without the torque limits, for a few checked points that differ from their neighbors."""
-    return _trajectory(arm, _fastest(WaypointSearch(points, arm.limits), is_smooth=False))
+    return _trajectory(arm, _fastest_within(points, arm.limits, is_smooth=False))
 
 
 def _trajectory(arm: MovingJoints, passage: Passage) -> JointTrajectory:
     return JointTrajectory(*passage.pieces, arm.joint_names, arm.limits, units=arm.units)
+
+
+def _fastest_within(points: Array, limits: Limits, *, is_smooth: bool) -> Passage:
+    """The fastest motion that is found inside all limits but those of the torque.
+
+    Where it is faster than the ends of the ranges allow, one with gentler accelerations, or a slower one, replaces it.
+    """
+    passage = _fastest(WaypointSearch(points, limits.plain), is_smooth)
+    if not limits.depends_on_position or is_inside(passage.pieces, limits):
+        return passage
+    room = room_to_stop(limits)  # beyond which only waypoints lead
+    inside = replace(limits, q_min=np.minimum(room.q_min, points.min(axis=0)), q_max=np.maximum(room.q_max, points.max(axis=0)))
+    low, high = map(inside.clamp, _span(passage))
+    for _ in range(_GENTLE_SEARCHES):
+        gentle = gentle_in_both_directions(limits, low, high)
+        gentle = replace(gentle.plain, q_min=inside.q_min, q_max=inside.q_max)
+        passage = _fastest(WaypointSearch(points, gentle), is_smooth)
+        if is_inside(passage.pieces, limits):
+            return passage
+        lowest, highest = _span(passage)
+        low = np.minimum(low, lowest)
+        high = np.maximum(high, highest)
+    pieces = slowed_into(passage.pieces, limits)
+    return Passage(pieces, passage.times * (pieces.knots[-1] / passage.times[-1]))
+
+
+def _span(passage: Passage) -> tuple[Array, Array]:
+    """The lowest and the highest position of each joint, (n,) each."""
+    positions = piece_extremes(passage.pieces.coefficients, np.diff(passage.pieces.knots), 0)[1]
+    return positions.min(axis=(0, 2)), positions.max(axis=(0, 2))
 
 
 def _fastest(search: WaypointSearch, is_smooth: bool) -> Passage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +14,15 @@ from armctl.core.other_names import with_hints
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, vector
 from armctl.model.arm.arm import Arm
-from armctl.plan.motion.checks import goal_state, planning_arm, start_state
+from armctl.plan.motion.checks import goal_state, limits_from, planning_arm, start_state
+from armctl.plan.motion.timing.end_limits import gentle_limits, room_to_stop
 from armctl.plan.motion.timing.otg import JointState, Profile, ProfileSolver
-from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE
+from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE, is_inside
 from armctl.plan.motion.trajectory.path_stop import remaining
 from armctl.plan.motion.trajectory.piecewise import Pieces, joined, standing
 
+# Shares of the acceleration limits that are tried where a motion is faster than an end of a joint's range allows.
+_GENTLER = (1.0, 0.5, 0.25, 0.1)
 _STANDING = 1e-9  # of the velocity limit: a joint that is asked for less stands still
 _FAR_S = 3600.0  # a joint without position limits stops after an hour at its velocity
 
@@ -67,6 +71,7 @@ class OnlineMotion:
         self._q_max = limits.q_max.tolist()
         self._q_min_loose = (limits.q_min - POSITION_TOLERANCE).tolist()
         self._q_max_loose = (limits.q_max + POSITION_TOLERANCE).tolist()
+        self._shrinks = limits.depends_on_position
         self._solver = ProfileSolver.from_limits(limits)
         start = start_state(arm, q_start)
         self._t = 0.0
@@ -74,7 +79,7 @@ class OnlineMotion:
         self._goal: Setpoint | None = None
         self._velocity: Array | None = None  # of velocity control
         profile = self._solver.stop(self._start)
-        if profile is None or not profile.stays_inside(self._q_min_loose, self._q_max_loose):
+        if profile is None or not self._is_inside(profile, self._start):
             raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
         self._profile = profile
         self._afterwards: Profile | None = None  # the stop behind a goal in motion
@@ -104,17 +109,43 @@ class OnlineMotion:
         goal = self._checked(q)
         start = self._state(self._t)
         profile = self._solver.to_rest(start, goal.tolist(), self._q_min_loose, self._q_max_loose)
+        if self._shrinks and (profile is None or not self._keeps_ends(profile, start)):
+            profile = self._gentle(start, goal)
         self._start = start
         self._take(profile, _resting_at(goal), None)
+
+    def _gentle(self, start: JointState, goal: Array) -> Profile | None:
+        """A profile to rest at a goal with less acceleration, within the velocity limits near the ends; None if none is found.
+
+        The caps on the deceleration are those of the goal and of the start, whichever is nearer to an end.
+        """
+        limits = self._arm.limits
+        low = np.minimum(goal, start.q)
+        high = np.maximum(goal, start.q)
+        up = goal > np.asarray(start.q)
+        down = goal < np.asarray(start.q)
+        for share in _GENTLER:
+            gentle = gentle_limits(replace(limits, a_max=share * limits.a_max, a_min=share * limits.a_low), low, high, up, down)
+            profile = ProfileSolver.from_limits(gentle).to_rest(start, goal.tolist(), self._q_min_loose, self._q_max_loose)
+            if profile is not None and self._keeps_ends(profile, start):
+                return profile
+        return None
+
+    def _keeps_ends(self, profile: Profile, start: JointState) -> bool:
+        """Whether a profile from a state keeps the limits, also those of velocities near the ends of the ranges."""
+        setpoint = Setpoint(*(np.asarray(x) for x in start))
+        return not self._shrinks or is_inside(profile.pieces(start), limits_from(self._arm.limits, setpoint))
 
     def _go_to_moving(self, goal: Setpoint) -> None:
         """Sets a goal in motion."""
         wanted = JointState(goal.q.tolist(), goal.v.tolist(), goal.a.tolist())
         stop = self._solver.stop(wanted)
-        if stop is None or not stop.stays_inside(self._q_min_loose, self._q_max_loose):
+        if stop is None or not self._is_inside(stop, wanted):
             raise LimitError("q: the arm cannot stop inside its position limits after this goal; end slower")
         start = self._state(self._t)
         profile = self._solver.to_moving(start, wanted, self._q_min_loose, self._q_max_loose)
+        if profile is not None and not self._keeps_ends(profile, start):
+            profile = None
         self._start = start
         self._take(profile, goal, stop)
 
@@ -151,27 +182,29 @@ class OnlineMotion:
         """
         wanted = vector("v", v, self._arm.n)
         limits = self._arm.limits
-        i = int((np.abs(wanted) / limits.v_max).argmax())
-        if abs(wanted[i]) > limits.v_max[i] * (1 + RATIO_TOLERANCE):
+        bounds = np.where(wanted < 0.0, -limits.v_low, limits.v_max)
+        i = int((np.abs(wanted) / bounds).argmax())
+        if abs(wanted[i]) > bounds[i] * (1 + RATIO_TOLERANCE):
             raise LimitError(
                 f"v: {self._arm.joint_names[i]}: {wanted[i]:g} {self._arm.units[i]}/s is beyond its limit, "
-                f"{limits.v_max[i]:g} {self._arm.units[i]}/s; give less"
+                f"{bounds[i]:g} {self._arm.units[i]}/s; give less"
             )
         start = self._state(self._t)
         reached = self._solver.to_velocity(start, wanted.tolist())
         self._start = start
         self._goal = None
         self._velocity = wanted
-        if reached is not None and self._is_inside(reached):
+        if reached is not None and self._is_inside(reached, start):
             # Without rounding, which would let ruckig brake for a velocity above what it is asked for.
-            cruising = self._cruise(JointState(reached.at(reached.duration)[0], wanted.tolist(), [0.0] * len(wanted)), wanted)
-            if cruising is not None and self._is_inside(cruising):
+            then = JointState(reached.at(reached.duration)[0], wanted.tolist(), [0.0] * len(wanted))
+            cruising = self._cruise(then, wanted)
+            if cruising is not None and self._is_inside(cruising, then):
                 self._profile = reached
                 self._afterwards = cruising
                 self._t = 0.0
                 return
         cruising = self._cruise(start, wanted)
-        if cruising is None or not self._is_inside(cruising):
+        if cruising is None or not self._is_inside(cruising, start):
             self._brake()
             raise PlanError(
                 "go_at: no motion at this velocity inside the limits was found; the arm stops, call go_at again at rest"
@@ -182,19 +215,24 @@ class OnlineMotion:
 
     def _cruise(self, start: JointState, v: Array) -> Profile | None:
         """The profile of each joint at its velocity to its position limit, or where it stops if its velocity is zero."""
-        limits = self._arm.limits
+        limits = room_to_stop(self._arm.limits)
         q = np.array(start.q)
         stop = self._solver.stop(start)
         if stop is None:
             return None
         is_still = np.abs(v) <= _STANDING * limits.v_max
         ends = np.where(v > 0.0, np.minimum(limits.q_max, q + v * _FAR_S), np.maximum(limits.q_min, q + v * _FAR_S))
+        if self._shrinks:  # from beyond the places in which it can come to rest, a joint does not turn back
+            ends = np.where(v > 0.0, np.maximum(ends, q), np.minimum(ends, q))
         goal = np.where(is_still, stop.at(stop.duration)[0], ends)
         speeds = np.where(is_still, limits.v_max, np.minimum(np.abs(v), limits.v_max))
-        return self._solver.cruise(start, goal.tolist(), speeds.tolist())
+        solver = self._solver
+        if self._shrinks:
+            solver = ProfileSolver.from_limits(gentle_limits(self._arm.limits, goal, goal, goal > q, goal < q))
+        return solver.cruise(start, goal.tolist(), speeds.tolist())
 
-    def _is_inside(self, profile: Profile) -> bool:
-        return profile.stays_inside(self._q_min_loose, self._q_max_loose)
+    def _is_inside(self, profile: Profile, start: JointState) -> bool:
+        return profile.stays_inside(self._q_min_loose, self._q_max_loose) and self._keeps_ends(profile, start)
 
     def with_limits(self, limits: Limits) -> OnlineMotion:
         """The motion that goes on from here within other limits, to the same goal or at the same velocity as far as they allow.
@@ -216,7 +254,7 @@ class OnlineMotion:
         """
         motion = OnlineMotion(self._arm.with_limits(limits), self.setpoint)
         if self._velocity is not None:
-            motion.go_at(np.clip(self._velocity, -limits.v_max, limits.v_max))
+            motion.go_at(np.clip(self._velocity, limits.v_low, limits.v_max))
         elif self._goal is not None and self.time_to_goal > 0.0:
             motion.go_to(self._goal if self._goal.v.any() or self._goal.a.any() else self._goal.q)
         return motion
@@ -274,11 +312,23 @@ class OnlineMotion:
     def _brake(self) -> None:
         """Replaces the profile by the fastest stop from `_start`."""
         profile = self._solver.stop(self._start)
+        if profile is not None and self._shrinks and not self._keeps_ends(profile, self._start):
+            profile = self._gentle_stop(self._start) or profile
         if profile is None:
             raise PlanError("no stop inside the limits was found from the present state")
         self._profile = profile
         self._afterwards = None
         self._t = 0.0
+
+    def _gentle_stop(self, start: JointState) -> Profile | None:
+        """A stop with less deceleration, which keeps velocity limits near the ends; None if none is found."""
+        limits = self._arm.limits
+        for share in _GENTLER:
+            gentle = replace(limits, a_max=share * limits.a_max, a_min=share * limits.a_low)
+            profile = ProfileSolver.from_limits(gentle).stop(start)
+            if profile is not None and self._is_inside(profile, start):
+                return profile
+        return None
 
     def _state(self, t: float) -> JointState:
         if self._afterwards is not None and t > self._profile.duration:

@@ -11,6 +11,7 @@ from armctl.model.arm.arm import Arm
 from armctl.plan.motion.checks import planning_arm, read_duration
 from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.path.given_path import GivenPath, SplineLike, read_path
+from armctl.plan.motion.timing.end_limits import slowed_into
 from armctl.plan.motion.timing.otg import slowed_to_bounds
 from armctl.plan.motion.timing.path_timing import time_optimal
 from armctl.plan.motion.torque_limits import within_torque
@@ -56,15 +57,15 @@ def time_path(
         PlanError: The limits differ too much to compute a speed, a motor cannot hold the arm at some point of the path, or the
             duration is too short.
     """
-    planning = planning_arm(arm, speed)
+    planning = planning_arm(arm, speed, is_signed=True)
     seconds = read_duration(duration)
     given = read_path(arm, path, interval, parameters, derivatives)
     _require_positions(arm, given)
     limits = planning.limits
     pieces = time_optimal(given, limits, None, given.knots, _FINENESS)
-    free = slowed_to_bounds(joints_of(pieces), (limits.v_max, limits.a_max, limits.j_max))
+    free = slowed_to_bounds(joints_of(pieces), limits.larger_sides)
     if isinstance(path, JointTrajectory):
-        as_given = _at_one_speed(path.pieces, limits)
+        as_given = _at_one_speed(path.pieces, limits.symmetric)
         if as_given is not None and as_given.knots[-1] < free.knots[-1]:
             free = as_given
     motion = JointTrajectory(*free, arm.joint_names, arm.limits, units=arm.units)
@@ -83,6 +84,7 @@ def _at_one_speed(pieces: Pieces, limits: Limits) -> Pieces | None:
         return None
     short = time_scaled(pieces, float(pieces.knots[-1]) / _SHORT_S)
     fastest = time_scaled(short, 1 / stretch_needed(short, (limits.v_max, limits.a_max, limits.j_max)))
+    fastest = slowed_into(fastest, limits)
     return fastest if has_continuous_acceleration(fastest, limits) else None
 
 

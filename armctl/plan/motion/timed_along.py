@@ -25,6 +25,6 @@ def timed_along(
     speed = options.get("speed", 1.0)
     caps = TipCaps.from_path(arm, path, speed, options.get("tip_speed"), options.get("tip_angular_speed"), tips)
     pieces = time_optimal(path, limits, caps, fineness=_FINENESS)
-    free = slowed_to_bounds(joints_of(pieces), (limits.v_max, limits.a_max, limits.j_max))
+    free = slowed_to_bounds(joints_of(pieces), limits.larger_sides)
     motion = within_torque(arm, JointTrajectory(*free, arm.joint_names, arm.limits, units=arm.units))
     return motion if caps is None else caps.kept(motion)

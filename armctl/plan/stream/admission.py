@@ -19,6 +19,7 @@ from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.plan.motion.checks import limits_from
 from armctl.plan.motion.move_j import move_j
+from armctl.plan.motion.timing.end_limits import room_to_stop
 from armctl.plan.motion.timing.otg import JointState
 from armctl.plan.motion.torque_limits import check_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
@@ -115,7 +116,7 @@ class Admission:
         outside = self._outside(q)
         if outside is not None:
             return self.refused(outside, q[-1])
-        q = self._arm.limits.clamp(q)
+        q = room_to_stop(self._arm.limits).clamp(q)
         return self._single(q[0]) if times is None else self.chunk(times, q)
 
     def chunk(self, times: Array, q: Array) -> GateAnswer:

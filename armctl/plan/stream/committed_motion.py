@@ -11,6 +11,7 @@ from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.plan.motion.checks import limits_from
+from armctl.plan.motion.timing.end_limits import END_SHARES
 from armctl.plan.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.plan.motion.torque_limits import InverseDynamics
 from armctl.plan.motion.trajectory.limit_check import POSITION_TOLERANCE, RATIO_TOLERANCE, each_inside, is_inside
@@ -45,6 +46,11 @@ class CommittedMotion:
         self._limits = arm.limits
         limits = arm.limits
         self._solvers = [ProfileSolver(limits.v_max, s * limits.a_max, s**2 * limits.j_max) for s in _SLOWER]
+        if limits.depends_on_position:
+            gentle = [np.minimum(limits.a_max, share * limits.deceleration_limit) for share in END_SHARES]
+            self._solvers[1:] = [ProfileSolver(limits.v_max, a_max, limits.j_max) for a_max in gentle] + [
+                ProfileSolver(limits.v_max, s * gentle[-1], s**2 * limits.j_max) for s in _SLOWER[1:]
+            ]
         self._zero = [0.0] * arm.n
         self._q_min = (limits.q_min - POSITION_TOLERANCE).tolist()
         self._q_max = (limits.q_max + POSITION_TOLERANCE).tolist()

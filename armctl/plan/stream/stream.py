@@ -26,6 +26,7 @@ from armctl.plan.ik.ik_result import FAR_M
 from armctl.plan.ik.region import Region
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
+from armctl.plan.motion.timing.end_limits import room_to_stop
 from armctl.plan.motion.timing.otg import JointState
 from armctl.plan.motion.trajectory.path_stop import remaining
 from armctl.plan.motion.trajectory.piecewise import Pieces, basis, standing
@@ -143,6 +144,7 @@ class Stream:
         self._planner = CommittedMotion(self._arm, checker, refusal)
         self._targets = TimedTargets(start.q, self._arm.limits.v_max, self._arm.limits.a_max)
         self._limits = self._arm.limits
+        self._rest_range = room_to_stop(self._arm.limits)  # where targets are moved to
         self._v_limit = _AT_LIMIT * self._limits.v_max
         self._a_limit = _AT_LIMIT * self._limits.a_max
         self._t = 0.0
@@ -303,7 +305,7 @@ class Stream:
         q = solution.q
         position_error, angle = goal.distance(self._arm.fk(last))
         if np.abs(q - last).max() > _POSTURE_CHANGE and position_error < _SMALL_STEP_M and angle < _SMALL_STEP_RAD:
-            q = self._limits.clamp(last + self._targets.interval * self._ik.step(last, goal, self._targets.interval))
+            q = self._rest_range.clamp(last + self._targets.interval * self._ik.step(last, goal, self._targets.interval))
         self.push(time, q)
 
     def _configuration_by_tip(self, targets: TipTargets) -> Array:
@@ -327,7 +329,7 @@ class Stream:
         step = self._targets.interval / _STEPS_BY_TIP
         for _ in range(_STEPS_BY_TIP):
             q = q + step * self._ik.step(q, targets_by_tip(targets, held), step)
-        return self._limits.clamp(q)
+        return self._rest_range.clamp(q)
 
     def push_twist(self, linear: ArrayLike, angular: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Takes a velocity of the tip, as a joystick gives it. The arm comes to rest if it is not renewed within 0.2 s.
@@ -443,7 +445,7 @@ class Stream:
         return time
 
     def _clamped(self, targets: Array) -> Array:
-        inside = np.clip(targets, self._limits.q_min, self._limits.q_max)
+        inside = np.clip(targets, self._rest_range.q_min, self._rest_range.q_max)
         outside = (inside != targets).any(axis=1)
         if outside.any():
             self._arm.check_units("q", targets)

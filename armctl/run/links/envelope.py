@@ -15,6 +15,7 @@ _PLANNED_V = 0.9
 _PLANNED_A = 0.6
 _PLANNED_J = 0.6
 _CHECKED = 1.0 - 1e-3  # share of the maker's limits on a, j that a sample may use: differences of float32 positions are noisy
+_TICK_S = 1e-3  # half of the longest tick of a robot whose velocity limits depend on the position
 _SPEED_MARGIN = 1e-3  # rad/s below the maker's limits on v, as in libfranka's rate limiter
 
 
@@ -24,16 +25,12 @@ class Envelope:
 
     Attributes:
         source: Where it is published.
-        limits: The limits of positions, and of the differences of positions over ticks.
-        speed_offset: (n,) rad/s: near an end of its range, a joint's speed is limited to
-            sqrt(2 stopping_acceleration * distance) - speed_offset; None where the limit does not depend on the position.
-        stopping_acceleration: (n,) rad/s^2.
+        limits: The limits of positions, and of the differences of positions over ticks; also those that depend on the sign or,
+            near the ends of the joints' ranges, on the position.
     """
 
     source: str
     limits: Limits
-    speed_offset: Array | None = None
-    stopping_acceleration: Array | None = None
 
     def planning_limits(self, arm: Limits, speed: float) -> Limits:
         """The limits that motions are planned with: the smaller ones of maker and model, with a margin.
@@ -49,6 +46,16 @@ class Envelope:
         instance("arm", arm, Limits, "armctl.load('panda').limits are some")
         speed = check_speed(speed)
         maker = self.limits
+        signs = {}
+        if arm.depends_on_sign or maker.depends_on_sign:
+            signs["v_min"] = speed * np.maximum(arm.v_low, _PLANNED_V * maker.v_low)
+            signs["a_min"] = speed * np.maximum(arm.a_low, _PLANNED_A * maker.a_low)
+        ends = {}
+        if maker.depends_on_position:
+            # The mean velocity of a tick is larger than that at its end, with whose position it is compared.
+            margin = np.where(np.isfinite(maker.deceleration_limit), _SPEED_MARGIN + _TICK_S * maker.deceleration_limit, 0.0)
+            ends["velocity_offset"] = np.maximum(arm.velocity_offset, maker.velocity_offset + margin)
+            ends["deceleration_limit"] = np.minimum(arm.deceleration_limit, maker.deceleration_limit)
         return replace(
             arm,
             q_min=np.maximum(arm.q_min, maker.q_min),
@@ -56,6 +63,8 @@ class Envelope:
             v_max=speed * np.minimum(arm.v_max, _PLANNED_V * maker.v_max),
             a_max=speed * np.minimum(arm.a_max, _PLANNED_A * maker.a_max),
             j_max=speed * np.minimum(arm.j_max, _PLANNED_J * maker.j_max),
+            **signs,
+            **ends,
         )
 
     def speed_limits(self, q: Array) -> tuple[Array, Array]:
@@ -71,13 +80,7 @@ class Envelope:
             InputError: The positions are not (T, n) numbers.
         """
         q = matrix("q", q, len(self.limits.q_min), finite=False)
-        highest = np.broadcast_to(self.limits.v_max, q.shape)
-        lowest = -highest
-        if self.speed_offset is not None and self.stopping_acceleration is not None:
-            up = np.sqrt(2.0 * self.stopping_acceleration * np.maximum(self.limits.q_max - q, 0.0)) - self.speed_offset
-            down = np.sqrt(2.0 * self.stopping_acceleration * np.maximum(q - self.limits.q_min, 0.0)) - self.speed_offset
-            highest = np.minimum(highest, np.maximum(up, 0.0))
-            lowest = np.maximum(lowest, -np.maximum(down, 0.0))
+        lowest, highest = self.limits.velocity_bounds(q)
         return lowest + _SPEED_MARGIN, highest - _SPEED_MARGIN
 
     def refusal(self, samples: Array, before: Array, dt: float) -> str:
@@ -107,7 +110,7 @@ class Envelope:
         outside = {
             "is at {:.4g} rad, outside [{:.4g}, {:.4g}]": (samples, limits.q_min, limits.q_max),
             "moves at {:.4g} rad/s, outside [{:.4g}, {:.4g}]": (v, np.where(still, 0.0, low), np.where(still, 0.0, high)),
-            "accelerates at {:.4g} rad/s^2, outside [{:.4g}, {:.4g}]": (a, -_CHECKED * limits.a_max, _CHECKED * limits.a_max),
+            "accelerates at {:.4g} rad/s^2, outside [{:.4g}, {:.4g}]": (a, _CHECKED * limits.a_low, _CHECKED * limits.a_max),
             "has a jerk of {:.4g} rad/s^3, outside [{:.4g}, {:.4g}]": (j, -_CHECKED * limits.j_max, _CHECKED * limits.j_max),
         }
         first = len(samples)
@@ -129,5 +132,12 @@ def envelope_of(limits: Limits, source: str) -> Envelope:
     """An envelope for a robot whose maker publishes none: the limits of its model are what motions are planned with."""
     return Envelope(
         source,
-        replace(limits, v_max=limits.v_max / _PLANNED_V, a_max=limits.a_max / _PLANNED_A, j_max=limits.j_max / _PLANNED_J),
+        replace(
+            limits,
+            v_max=limits.v_max / _PLANNED_V,
+            a_max=limits.a_max / _PLANNED_A,
+            j_max=limits.j_max / _PLANNED_J,
+            v_min=limits.v_min / _PLANNED_V,
+            a_min=limits.a_min / _PLANNED_A,
+        ),
     )

@@ -35,9 +35,9 @@ FR3 = Envelope(
         a_max=np.full(7, 10.0),
         j_max=np.full(7, 5000.0),
         tau_max=np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0]),
+        deceleration_limit=np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0]),
+        velocity_offset=np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35]),
     ),
-    speed_offset=np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35]),
-    stopping_acceleration=np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0]),
 )
 
 # libfranka: `Torques` are joint torques without gravity and friction, which the robot adds; rate_limiting.h: `kMaxTorqueRate`.

@@ -49,6 +49,16 @@ def test_a_speed_limit_that_is_no_number_is_one_clear_sentence(load):
         load(urdf(FIRST.replace('velocity="2.5"', 'velocity="fast"'), SECOND, THIRD, TOOL))
 
 
+def test_velocity_limits_near_the_ends_of_ranges_are_read(load):
+    near_ends = '<position_based_velocity_limits deceleration_limit="6.0" velocity_offset="0.30"/></joint>'
+    limits = load(urdf(FIRST.replace("</joint>", near_ends), SECOND, THIRD, TOOL)).limits
+    assert limits.deceleration_limit.tolist() == [6.0, np.inf]
+    assert limits.velocity_offset.tolist() == [0.3, 0.0]
+    for wrong, sentence in {"0.0": "deceleration_limit 0 must be a positive", "x": "deceleration_limit 'x' is not a n"}.items():
+        with pytest.raises(armctl.ModelError, match=f"joint 'j1': its {sentence}"):
+            load(urdf(FIRST.replace("</joint>", near_ends.replace("6.0", wrong)), SECOND, THIRD, TOOL))
+
+
 def test_blanks_before_the_declaration_do_no_harm(load):
     assert load('\n  <?xml version="1.0"?>\n' + urdf(FIRST, SECOND, THIRD, TOOL)).n == 2
 

@@ -45,7 +45,8 @@ def test_a_step_is_refused_with_its_joint_and_its_time(seed: int, tick: int, joi
 
 def test_speed_depends_on_the_distance_to_the_end_of_the_range():
     arm = arm_of("robot_arm_3dof")
-    near = replace(envelope(), speed_offset=np.full(3, 0.3), stopping_acceleration=np.full(3, 6.0))
+    limits = replace(envelope().limits, velocity_offset=np.full(3, 0.3), deceleration_limit=np.full(3, 6.0))
+    near = replace(envelope(), limits=limits)
     q = np.array([[0.0, 0.0, -1.0], arm.limits.q_max - 0.05, arm.limits.q_max - 0.001])
     low, high = near.speed_limits(q)
     assert high[0] == pytest.approx(near.limits.v_max - 1e-3)

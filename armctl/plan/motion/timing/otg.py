@@ -16,6 +16,7 @@ import ruckig
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
+from armctl.plan.motion.timing.turning_points import brakes_inside, turns_inside
 from armctl.plan.motion.trajectory.limit_check import stretch_needed
 from armctl.plan.motion.trajectory.piecewise import DEGREE, Pieces, basis, standing, time_scaled
 
@@ -97,7 +98,7 @@ class Profile:
             # It cannot leave [least, most] by more than it can cover, there and back, in the time that is left over.
             spare = 0.5 * (v_max * self.duration - (most - least))
             brake = profile.brake
-            if brake.duration > 0.0 and not _brakes_inside(brake, start, low, high):
+            if brake.duration > 0.0 and not brakes_inside(brake, start, low, high):
                 return False
             if low + spare <= least and most + spare <= high:
                 continue
@@ -108,7 +109,7 @@ class Profile:
             t = profile.t
             longest = max(t[0], t[1], t[2], t[4], t[5], t[6], 0.0 if profile.a[3] == 0.0 else t[3])
             bulge = a_max * longest * longest / 8  # how far a curve of this acceleration can leave its chord
-            if (least - bulge < low or most + bulge > high) and not _turns_inside(profile, low, high):
+            if (least - bulge < low or most + bulge > high) and not turns_inside(profile, low, high):
                 return False
         return True
 
@@ -133,20 +134,34 @@ class Profile:
 class ProfileSolver:
     """Computes profiles of n joints with given limits. It holds ruckig's work space; no result depends on earlier calls."""
 
-    def __init__(self, v_max: Array, a_max: Array, j_max: Array):
+    def __init__(self, v_max: Array, a_max: Array, j_max: Array, lows: tuple[Array, Array] | None = None):
+        """Limits (n,); `lows` are the lowest velocities and accelerations, where they are not the negative of the greatest."""
         n = len(v_max)
         self.bounds = (v_max, a_max, j_max)
+        self.lows = lows
+        if lows is not None:
+            self.bounds = (np.maximum(v_max, -lows[0]), np.maximum(a_max, -lows[1]), j_max)
+        self.highs = (v_max, a_max, j_max)
         self._n = n
-        self._v_max = v_max.tolist()
-        self._a_max = a_max.tolist()
+        self._v_max = self.bounds[0].tolist()
+        self._a_max = self.bounds[1].tolist()
         self._ruckig = ruckig.Ruckig(n)
         self._input = ruckig.InputParameter(n)
         self._zero = [0.0] * n
         self._set_limits(1.0)
 
+    @property
+    def smaller_sides(self) -> Bounds:
+        """Limits that hold in both directions."""
+        if self.lows is None:
+            return self.bounds
+        v_max, a_max, j_max = self.highs
+        return np.minimum(v_max, -self.lows[0]), np.minimum(a_max, -self.lows[1]), j_max
+
     @classmethod
     def from_limits(cls, limits: Limits) -> ProfileSolver:
-        return cls(limits.v_max, limits.a_max, limits.j_max)
+        lows = (limits.v_low, limits.a_low) if limits.depends_on_sign else None
+        return cls(limits.v_max, limits.a_max, limits.j_max, lows)
 
     def solve(self, start: JointState, goal: JointState, together: bool = True, shortest: float = 0.0) -> Profile | None:
         """The fastest profile between two states that lasts at least so many seconds, or None if ruckig finds none.
@@ -205,6 +220,8 @@ class ProfileSolver:
     def cruise(self, start: JointState, goal: list[float], speeds: list[float]) -> Profile | None:
         """The fastest profile of each joint by itself to rest at a goal, no faster than so many rad/s."""
         self._input.max_velocity = speeds
+        if self.lows is not None:
+            self._input.min_velocity = [-speed for speed in speeds]
         profile = self.solve(start, JointState(goal, self._zero, self._zero), together=False)
         self._set_limits(1.0)
         return profile
@@ -226,10 +243,13 @@ class ProfileSolver:
             return False
 
     def _set_limits(self, share: float) -> None:
-        v_max, a_max, j_max = self.bounds
+        v_max, a_max, j_max = self.highs
         self._input.max_velocity = (share * v_max).tolist()
         self._input.max_acceleration = (share * a_max).tolist()
         self._input.max_jerk = (share * j_max).tolist()
+        if self.lows is not None:
+            self._input.min_velocity = (share * self.lows[0]).tolist()
+            self._input.min_acceleration = (share * self.lows[1]).tolist()
 
 
 def solve_pieces(
@@ -255,8 +275,8 @@ def solve_pieces(
         if rests and stretch <= _MAX_STRETCH:
             return slowed_to_bounds(pieces.corrected, solver.bounds)
     if rests:
-        return straight_rest_to_rest(np.asarray(start.q), np.asarray(goal.q), solver.bounds)
-    pieces = _solved_in_own_units(solver.bounds, start, goal, shortest)
+        return straight_rest_to_rest(np.asarray(start.q), np.asarray(goal.q), solver.smaller_sides)
+    pieces = _solved_in_own_units(solver, start, goal, shortest)
     if pieces is None:
         raise PlanError("no jerk-limited move joins the two states; start and end slower")
     if stretch_needed(pieces, unavoidable_bounds(solver.bounds, start)) > 1 + max_excess:
@@ -276,13 +296,13 @@ def unavoidable_bounds(bounds: Bounds, start: JointState) -> Bounds:
     return np.maximum(v_max, np.maximum(np.abs(v), coasting)), np.maximum(a_max, np.abs(a)), j_max
 
 
-def _solved_in_own_units(bounds: Bounds, start: JointState, goal: JointState, shortest: float) -> Pieces | None:
+def _solved_in_own_units(limited: ProfileSolver, start: JointState, goal: JointState, shortest: float) -> Pieces | None:
     """The fastest move between two states in its own units of time and position; None if ruckig finds none.
 
     Ruckig's tolerances are absolute. With the unit of time that the states need at full jerk, and for each joint the unit of
     position that makes this jerk 1, they are relative to the move, however short it is.
     """
-    v_max, a_max, j_max = bounds
+    v_max, a_max, j_max = limited.highs
     q = np.asarray(start.q)
     way = np.asarray(goal.q) - q
     times = [np.cbrt(np.abs(way) / j_max)]
@@ -294,7 +314,8 @@ def _solved_in_own_units(bounds: Bounds, start: JointState, goal: JointState, sh
     length = j_max * time**3
     to_velocity = time / length
     to_acceleration = time**2 / length
-    solver = ProfileSolver(v_max * to_velocity, a_max * to_acceleration, np.ones_like(j_max))
+    lows = None if limited.lows is None else (limited.lows[0] * to_velocity, limited.lows[1] * to_acceleration)
+    solver = ProfileSolver(v_max * to_velocity, a_max * to_acceleration, np.ones_like(j_max), lows)
     first = JointState(np.zeros_like(q), start.v * to_velocity, start.a * to_acceleration)
     last = JointState(way / length, goal.v * to_velocity, goal.a * to_acceleration)
     profile = solver.solve(first, last, shortest=shortest / time)
@@ -452,42 +473,3 @@ def _pieces(nodes: PhaseNodes) -> Pieces:
     zero = np.zeros_like(u)
     rows = (q + u * (v + u * (a / 2 + u * j / 6)), v + u * (a + u * j / 2), (a + u * j) / 2, j / 6, zero, zero)
     return Pieces(knots, np.stack(rows, axis=1))
-
-
-def _turns_inside(profile: ruckig.Profile, low: float, high: float) -> bool:
-    """Whether a joint stays between two positions at the turning points of every phase of its profile."""
-    q = profile.p
-    v = profile.v
-    a = profile.a
-    j = profile.j
-    t = profile.t
-    for k in range(7):
-        if v[k] * v[k + 1] < 0 or a[k] * a[k + 1] < 0:
-            for u in _turning_times(v[k], a[k], j[k]):
-                if 0 < u < t[k] and not low <= q[k] + u * (v[k] + u * (a[k] / 2 + u * j[k] / 6)) <= high:
-                    return False
-    return True
-
-
-def _brakes_inside(brake: ruckig.BrakeProfile, end: float, low: float, high: float) -> bool:
-    """Whether a joint stays between two positions while it brakes into its limits, in one or two phases."""
-    q = brake.p
-    positions = [q[0], end]
-    for k in range(2):
-        if brake.t[k] > 0.0:
-            positions.append(q[k])
-            for u in _turning_times(brake.v[k], brake.a[k], brake.j[k]):
-                if 0 < u < brake.t[k]:
-                    positions.append(q[k] + u * (brake.v[k] + u * (brake.a[k] / 2 + u * brake.j[k] / 6)))
-    return low <= min(positions) and max(positions) <= high
-
-
-def _turning_times(v: float, a: float, j: float) -> tuple[float, ...]:
-    """When a joint with this velocity, acceleration and constant jerk stands still."""
-    if j == 0.0:
-        return (-v / a,) if a else ()
-    root = a * a - 2 * j * v
-    if root < 0:
-        return ()
-    half = -(a + math.copysign(math.sqrt(root), a))  # no cancellation: both terms have the same sign
-    return (half / j, 2 * v / half) if half else ()

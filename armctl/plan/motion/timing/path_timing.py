@@ -15,10 +15,12 @@ from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, IntArray
+from armctl.plan.motion.timing.end_limits import refuse_end
 from armctl.plan.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing, where_reached
 from armctl.plan.motion.timing.speed_bounds import TorqueRows, points_of, speed_bounds
 from armctl.plan.motion.trajectory.limit_check import limit_excess
 from armctl.plan.motion.trajectory.piecewise import DEGREE, Pieces, basis_many, hermite
+from armctl.plan.motion.trajectory.velocity_bounds import velocity_peaks
 
 _INTERVAL_S = 0.004
 _MIN_INTERVALS = 60
@@ -259,11 +261,23 @@ class _TimingProblem:
         # The third derivative jumps at knots: the value just before a node belongs to the piece that ends there.
         q3_before = self._with_length(places.timing, np.nextafter(places.nodes[1:], 0.0))[3]
         with np.errstate(divide="ignore"):
-            b_max = (self.limits.v_max / np.abs(q1[:, :-1])).min(axis=1) ** 2
+            b_max = (self._fastest(q[:, :-1], q1[:, :-1]) / np.abs(q1[:, :-1])).min(axis=1) ** 2
             if self._caps is not None:
                 b_max = np.minimum(b_max, (self._caps.at(q[:, -1]) / np.abs(q1[:, -1])) ** 2)
         torques = None if self.torques is None else self.torques.rows(q[:, -1], q[:, :-1], q1[:, :-1], q2[:, :-1])
         return _Sampled(places, q, q1, q2, q3[:-1], q3_before, b_max, torques)
+
+    def _fastest(self, q: Array, q1: Array) -> Array:
+        """The greatest speeds of the joints at positions, (N, n), in the direction of the path. Raises LimitError."""
+        limits = self.limits
+        if not limits.depends_on_sign and not limits.depends_on_position:
+            return np.broadcast_to(limits.v_max, q.shape)
+        low, high = limits.velocity_bounds(q)
+        fastest = np.where(q1 < 0.0, -low, high)
+        if ((fastest == 0.0) & (q1 != 0.0)).any():
+            k, i = np.argwhere((fastest == 0.0) & (q1 != 0.0))[0].tolist()
+            refuse_end(limits, i, float(limits.q_max[i] if q1[k, i] > 0.0 else limits.q_min[i]))
+        return fastest
 
     def timed(self, sampled: _Sampled, slack: Array | None = None) -> _Timed:
         """The best path speed for a timing; `slack` (4, N) are factors on its bounds."""
@@ -304,11 +318,19 @@ class _TimingProblem:
         steps = np.diff(pieces.knots)
         joints = np.ascontiguousarray(pieces.coefficients[:, :, :-1])
         shares = []
-        for order, bound in enumerate((limits.v_max, limits.a_max, limits.j_max), start=1):
-            bounds = np.tile(bound, (len(steps), 1))
+        sides = ((limits.v_low, limits.v_max), (limits.a_low, limits.a_max), (-limits.j_max, limits.j_max))
+        for order, (low, high) in enumerate(sides, start=1):
+            lows = np.tile(low, (len(steps), 1))
+            highs = np.tile(high, (len(steps), 1))
             if order == 2 and self._caps is not None:
-                bounds *= self._caps.acceleration_at(middle_lengths(pieces))[:, None]
-            shares.append((1 + limit_excess(joints, steps, order, -bounds, bounds) / bounds).max(axis=1))
+                fractions = self._caps.acceleration_at(middle_lengths(pieces))[:, None]
+                lows *= fractions
+                highs *= fractions
+            shares.append((1 + limit_excess(joints, steps, order, lows, highs) / np.minimum(highs, -lows)).max(axis=1))
+        if limits.depends_on_position:
+            peaks = velocity_peaks(joints, steps, limits)
+            with np.errstate(divide="ignore"):
+                np.maximum.at(shares[0], peaks.piece, np.abs(peaks.value) / np.abs(peaks.bound))
         if self._caps is not None:
             shares[0] = np.maximum(shares[0], self._caps.overshoot(pieces))
         return np.array([*shares, self._torque_overshoot(pieces)])
@@ -342,9 +364,12 @@ class _TimingProblem:
             b_max[ends] = np.minimum(b_max[ends], ((j_max[ends] / np.abs(q3_ends)) ** (2 / 3)).min(axis=1))
         b_max = np.minimum(b_max, _MAX_SQUARED_SPEED)
         a_max = self.limits.a_max * slack[1][:, None]
+        a_low = self.limits.a_low * slack[1][:, None]
         if self._caps is not None:
-            a_max = a_max * self._caps.acceleration_at(sampled.q[:, -1])[:, None]
-        rows = TorqueRows(q1.copy(), q2.copy(), np.zeros_like(q1), -a_max, a_max.copy())
+            fractions = self._caps.acceleration_at(sampled.q[:, -1])[:, None]
+            a_max = a_max * fractions
+            a_low = a_low * fractions
+        rows = TorqueRows(q1.copy(), q2.copy(), np.zeros_like(q1), a_low, a_max)
         if sampled.torques is not None:
             share = slack[3][:, None]
             torques = sampled.torques._replace(low=sampled.torques.low * share, high=sampled.torques.high * share)

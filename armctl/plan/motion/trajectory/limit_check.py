@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from armctl.core.limits import Limits
 from armctl.core.result import Verdict
-from armctl.core.validation import Array, BoolArray, frozen
+from armctl.core.validation import Array, BoolArray
 from armctl.plan.motion.trajectory.piecewise import Pieces, basis_many, sample
+from armctl.plan.motion.trajectory.polynomials import hull_of, on_unit_interval, polynomial_extremes
+from armctl.plan.motion.trajectory.velocity_bounds import velocity_peaks
 
 RATIO_TOLERANCE = 1e-6  # relative, of velocity, acceleration and jerk
 POSITION_TOLERANCE = 1e-9  # rad (m); not relative, because a joint's stop does not grow with its range
 REST_SPEED = 1e-6  # rad/s; a slower end of a trajectory counts as at rest
 _JUMP_TOLERANCE = 1e-3  # of the limit of the acceleration
-_ROOT_STEPS = 11  # of Newton's method between two turning points
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+_VELOCITY = QUANTITIES.index("velocity")
 _JERK = QUANTITIES.index("jerk")
 _PER_TIME = ("", "/s", "/s^2", "/s^3")
 
@@ -34,7 +35,8 @@ class Peak:
         value: The value, in `unit`.
         bound: The limit that it is compared with.
         unit: For example "rad/s^2", or "m/s^2" for a slide joint.
-        ratio: The share of the limit; more than 1 is outside. A position has ratio 1 at a limit and 0 midway between
+        ratio: The share of the limit; more than 1 is outside. A velocity limit that depends on the position is reported where
+            it is exceeded, with the limit at that position. A position has ratio 1 at a limit and 0 midway between
             the two limits; with one limit only, the ratio grows by 1 for each rad (m).
     """
 
@@ -129,14 +131,14 @@ def _peaks(pieces: Pieces, limits: Limits, order: int, joint_names: tuple[str, .
         times = np.concatenate([times, np.tile(pieces.knots[1:-1], (n, 1))], axis=1)
         values = np.concatenate([values, jumps], axis=1)
     low, high = _bounds(limits, order)
-    half = 0.5 * (high - low)
-    scale = np.where(np.isfinite(half) & (half > 0), half, 1.0)
+    scale = _scale(low, high, order)
     excess = np.maximum(values - high[:, None], low[:, None] - values)  # how far outside, negative inside
+    near_ends = _near_ends(pieces, limits) if order == _VELOCITY and limits.depends_on_position else {}
     for i in np.flatnonzero(np.isfinite(high) | np.isfinite(low)):
         k = int(excess[i].argmax())
         value = float(values[i, k])
         above = value - high[i] >= low[i] - value
-        yield Peak(
+        peak = Peak(
             quantity=QUANTITIES[order],
             joint=joint_names[i],
             time=float(times[i, k]),
@@ -145,6 +147,27 @@ def _peaks(pieces: Pieces, limits: Limits, order: int, joint_names: tuple[str, .
             unit=units[i] + _PER_TIME[order],
             ratio=max(0.0, 1.0 + float(excess[i, k] / scale[i])),
         )
+        yield replace(peak, **near_ends[int(i)]) if i in near_ends else peak
+
+
+def _near_ends(pieces: Pieces, limits: Limits) -> dict[int, dict[str, float]]:
+    """For joints that are faster than an end of their range allows: time, value, bound and ratio where they are so most."""
+    peaks = velocity_peaks(pieces.coefficients, np.diff(pieces.knots), limits)
+    found: dict[int, dict[str, float]] = {}
+    for k in np.argsort(peaks.excess):
+        bound = float(peaks.bound[k])
+        value = float(peaks.value[k])
+        joint = int(peaks.joint[k])
+        if peaks.excess[k] > RATIO_TOLERANCE * limits.v_max[joint]:
+            time = float(pieces.knots[peaks.piece[k]] + peaks.time[k])
+            found[joint] = {"time": time, "value": value, "bound": bound, "ratio": value / bound if bound else math.inf}
+    return found
+
+
+def _scale(low: Array, high: Array, order: int) -> Array:
+    """(n,) what excesses are shares of: half the range of a position, and else the smaller bound; 1 without one."""
+    half = 0.5 * (high - low) if order == 0 else np.minimum(high, -low)
+    return np.where(np.isfinite(half) & (half > 0), half, 1.0)
 
 
 def _acceleration_jumps(pieces: Pieces, limits: Limits) -> Array:
@@ -170,10 +193,11 @@ def each_inside(coefficients: Array, steps: Array, limits: Limits) -> BoolArray:
     inside = np.ones(len(steps), dtype=bool)
     for order in range(len(QUANTITIES)):
         low, high = _bounds(limits, order)
-        half = 0.5 * (high - low)
-        is_relative = np.isfinite(half) & (half > 0)
-        tolerance = POSITION_TOLERANCE if order == 0 else RATIO_TOLERANCE * np.where(is_relative, half, 1.0)
+        tolerance = POSITION_TOLERANCE if order == 0 else RATIO_TOLERANCE * _scale(low, high, order)
         inside &= (limit_excess(coefficients, steps, order, low, high) <= tolerance).all(axis=1)
+    if limits.depends_on_position:
+        peaks = velocity_peaks(coefficients, steps, limits)
+        inside[peaks.piece[peaks.excess > RATIO_TOLERANCE * limits.v_max[peaks.joint]]] = False
     return inside
 
 
@@ -189,99 +213,19 @@ def stretch_needed(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> float:
 
 def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array, Array]:
     """Where a derivative may be extreme in each piece, s since it began, and its values there, each (m, n, k)."""
-    places, values = polynomial_extremes(np.moveaxis(_on_unit_interval(coefficients, steps, order), 0, 1))
+    places, values = polynomial_extremes(np.moveaxis(on_unit_interval(coefficients, steps, order), 0, 1))
     return places * steps[:, None, None], values
-
-
-def _on_unit_interval(coefficients: Array, steps: Array, order: int) -> Array:
-    """A derivative of each piece as a function of the share of the piece, (d + 1 - order, m, n)."""
-    p = coefficients.swapaxes(0, 1)
-    for _ in range(order):
-        p = _derivative(p)
-    return p * steps[:, None] ** np.arange(len(p))[:, None, None]
-
-
-def polynomial_extremes(polynomials: Array) -> tuple[Array, Array]:
-    """Where polynomials (m, d + 1, n), constant first, may be extreme on [0, 1], and their values there.
-
-    Each (m, n, k): both ends and every turning point between them; the point 0 may be repeated.
-    """
-    m, count, n = polynomials.shape
-    p = np.moveaxis(polynomials, 1, 0)
-    used = np.flatnonzero(p.any(axis=(1, 2)))  # powers that any of the polynomials has
-    turning_points = max(0, (int(used[-1]) if len(used) else 0) - 1)
-    places = np.zeros((max(2, count), m, n))
-    places[1] = 1.0
-    with np.errstate(all="ignore"):
-        if turning_points:
-            places[2 : 2 + turning_points] = _roots(_derivative(p)[: turning_points + 1])
-        values = _evaluated(p, places)
-    return np.moveaxis(places, 0, 2), np.moveaxis(values, 0, 2)
-
-
-def _evaluated(p: Array, x: Array) -> Array:
-    """Polynomials (d + 1, m, n), constant first, at points (k, m, n), by Horner's scheme."""
-    value = np.broadcast_to(p[-1], x.shape)
-    for c in p[-2::-1]:
-        value = value * x + c
-    return value
-
-
-def _derivative(p: Array) -> Array:
-    return p[1:] * np.arange(1.0, len(p))[:, None, None]
-
-
-def _roots(p: Array) -> Array:
-    """Numbers in [0, 1], (d, m, n), the roots in [0, 1] of polynomials (d + 1, m, n) among them."""
-    if len(p) == 2:
-        return _clamped(-p[:1] / p[1:])
-    if len(p) == 3:  # without the cancellation of the schoolbook formula
-        c, b, a = p
-        root = np.sqrt(np.maximum(b * b - 4 * a * c, 0.0))
-        half = -0.5 * (b + np.where(b < 0, -root, root))
-        return _clamped(np.stack([half / a, c / half]))
-    # Between two neighbouring turning points a polynomial is monotone and has at most one root: by Newton's method, with a
-    # bisection where a step leaves what is known to contain the root.
-    slope = _derivative(p)
-    turns = np.sort(_roots(slope), axis=0)
-    low = np.concatenate([np.zeros_like(turns[:1]), turns])
-    high = np.concatenate([turns, np.ones_like(turns[:1])])
-    is_positive = _evaluated(p, low) > 0
-    roots = 0.5 * (low + high)
-    crosses = is_positive != (_evaluated(p, high) > 0)
-    _, piece, joint = np.nonzero(crosses)
-    p = p[:, piece, joint]
-    slope = slope[:, piece, joint]
-    low = low[crosses]
-    high = high[crosses]
-    is_positive = is_positive[crosses]
-    x = roots[crosses]
-    for _ in range(_ROOT_STEPS):
-        value = _evaluated(p, x)
-        is_before = (value > 0) == is_positive
-        low = np.where(is_before, x, low)
-        high = np.where(is_before, high, x)
-        newton = x - value / _evaluated(slope, x)
-        x = np.where((low <= newton) & (newton <= high), newton, 0.5 * (low + high))
-    roots[crosses] = x
-    return roots
-
-
-def _clamped(x: Array) -> Array:
-    """Numbers in [0, 1]; 0 in place of NaN, which is a division of zero by zero."""
-    return np.where(np.isnan(x), 0.0, np.minimum(np.maximum(x, 0.0), 1.0))
 
 
 def limit_excess(coefficients: Array, steps: Array, order: int, low: Array, high: Array) -> Array:
     """How far a derivative of piecewise polynomials (m, d + 1, n) of the time since a piece began leaves its bounds.
 
     (m, n): exact where it is greater than 0, else any number of at most 0. `steps` (m,) s are the lengths of the pieces;
-    the bounds are (m, n) or (n,). A polynomial on an interval lies between the least and the greatest of its Bernstein
-    coefficients (Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided Geometric Design 29(6),
-    2012). Most pieces are inside their bounds by that alone; of the others the extremes are computed.
+    the bounds are (m, n) or (n,). Most pieces are inside their bounds by their Bernstein coefficients alone; of the others
+    the extremes are computed.
     """
-    p = _on_unit_interval(coefficients, steps, order)
-    hull = np.tensordot(_bernstein_basis(len(p) - 1), p, 1)
+    p = on_unit_interval(coefficients, steps, order)
+    hull = hull_of(p)
     excess = np.maximum(hull.max(axis=0) - high, low - hull.min(axis=0))
     doubtful = excess > 0
     if doubtful.any():
@@ -292,15 +236,9 @@ def limit_excess(coefficients: Array, steps: Array, order: int, low: Array, high
     return excess
 
 
-@lru_cache(maxsize=32)
-def _bernstein_basis(degree: int) -> Array:
-    """The Bernstein coefficients of each power, (degree + 1, degree + 1)."""
-    powers = range(degree + 1)
-    return frozen(np.array([[math.comb(i, k) / math.comb(degree, k) for k in powers] for i in powers]))
-
-
 def _bounds(limits: Limits, order: int) -> tuple[Array, Array]:
     if order == 0:
         return limits.q_min, limits.q_max
     high = (limits.v_max, limits.a_max, limits.j_max)[order - 1]
-    return -high, high
+    low = (limits.v_low, limits.a_low, -limits.j_max)[order - 1]
+    return low, high

@@ -67,7 +67,8 @@ def speed_changed(pieces: Pieces, limits: Limits, t: float, factor: float) -> Pi
 
     Where the rest of the motion cannot be so fast, or the change is not found, it changes less; at worst not at all.
     """
-    bounds = (limits.v_max, limits.a_max, limits.j_max)
+    symmetric = limits.symmetric
+    bounds = (symmetric.v_max, symmetric.a_max, symmetric.j_max)
     if factor > 1.0:
         factor = max(1.0, factor / stretch_needed(time_scaled(remaining(pieces, t), factor), bounds))
     if abs(factor - 1.0) < _MIN_CHANGE:
@@ -154,7 +155,7 @@ def _retimed(pieces: Pieces, begin: float, lengths: Array, law: _Deceleration) -
 
 
 def _keeps(a: Array, limits: Limits) -> BoolArray:
-    return np.abs(a) <= (1 + 1e-6) * limits.a_max
+    return (a <= (1 + 1e-6) * limits.a_max) & (a >= (1 + 1e-6) * limits.a_low)
 
 
 def _deceleration(x: Array) -> _Deceleration:
