@@ -6,12 +6,16 @@ import math
 import warnings
 from functools import cache
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import ArmctlWarning, InputError
-from armctl.core.validation import Array, array, as_array, frozen, instance, shown, vector
+from armctl.core.validation import Array, array, as_array, frozen, instance, number, shown, vector
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 # Rounding to three digits: E is at most 0.5e-3 in each element, so R R^T of R + E differs from I by at most 2 sqrt(3) max|E| +
 # 3 max|E|^2. What differs by more was made otherwise: scaled, sheared, or of other numbers.
@@ -141,6 +145,95 @@ class Pose:
             return frozen(np.array([0.0, pitch, math.atan2(-R[0, 1], R[1, 1])]))
         return frozen(np.array([math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])]))
 
+    @classmethod
+    def from_axis_angle(cls, position: ArrayLike, axis: ArrayLike, angle: float) -> Pose:
+        """A pose from a position and a rotation about an axis.
+
+        Args:
+            position: (3,) m.
+            axis: (3,), of any length above 0.
+            angle: rad.
+
+        Raises:
+            InputError: A wrong length, a number that is not finite, or an axis of zeros.
+        """
+        direction = vector("axis", axis, 3)
+        length = float(np.linalg.norm(direction))
+        if not 1.0 / _MAX_SQUARED < length < _MAX_SQUARED:
+            raise InputError(f"axis: {shown(direction.tolist())} has no direction; give a vector such as [0, 0, 1]")
+        rotation = rotation_from_vector(direction / length * number("angle", angle))
+        return computed_pose(vector("position", position, 3), rotation)
+
+    @property
+    def axis_angle(self) -> tuple[Array, float]:
+        """The axis, a unit vector (3,), and the angle of the rotation, rad, in [0, pi]; about z where there is none."""
+        w = rotation_vector(self.rotation)
+        angle = float(np.linalg.norm(w))
+        return frozen(w / angle if angle > 0.0 else np.array([0.0, 0.0, 1.0])), angle
+
+    @classmethod
+    def from_euler(cls, position: ArrayLike, order: str, angles: ArrayLike) -> Pose:
+        """A pose from a position and three rotations, one after the other.
+
+        Args:
+            position: (3,) m.
+            order: Three axes as of SciPy: "xyz" turns about fixed axes, which is `rpy`; "ZYX" about those of the turned frame.
+            angles: (3,) rad.
+
+        Raises:
+            InputError: A wrong length, a number that is not finite, or another order.
+        """
+        rotation = _euler().from_euler(_checked_order(order), vector("angles", angles, 3)).as_matrix()
+        return computed_pose(vector("position", position, 3), rotation)
+
+    def euler(self, order: str) -> Array:
+        """The angles of three rotations that give the orientation, one after the other.
+
+        Args:
+            order: Three axes as of SciPy: "xyz" turns about fixed axes, "ZYX" about those of the turned frame.
+
+        Returns:
+            (3,) rad; where the first and the last axis coincide, one of their angles is zero.
+
+        Raises:
+            InputError: Another order.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # SciPy's about coinciding axes, which the docstring says
+            return frozen(np.asarray(_euler().from_matrix(self.rotation).as_euler(_checked_order(order)), dtype=np.float64))
+
+    @classmethod
+    def exp(cls, twist: ArrayLike) -> Pose:
+        """The pose that a constant twist in its own axes reaches from the identity in 1 s, along a screw.
+
+        Args:
+            twist: (6,) m and rad, linear part first.
+
+        Raises:
+            InputError: A wrong length, or a number that is not finite.
+        """
+        reached = _pinocchio().exp6(vector("twist", twist, 6))
+        return computed_pose(reached.translation.copy(), reached.rotation.copy())
+
+    def log(self) -> Array:
+        """(6,) m and rad: the shortest twist, linear part first, whose `exp` is this pose."""
+        return frozen(np.array(_pinocchio().log6(_pinocchio().SE3(self.rotation, self.position)).vector))
+
+    def interpolated(self, other: Pose, share: float) -> Pose:
+        """A pose on the way to another one: the position on a line, the orientation about one axis, as `move_l` goes.
+
+        Args:
+            other: The pose at the end, in the same frame.
+            share: Of the way, from 0 to 1. Along a screw goes `self @ Pose.exp(share * (self.inverse() @ other).log())`.
+
+        Raises:
+            InputError: No pose, or a share out of bounds.
+        """
+        instance("other", other, Pose, "armctl.Pose(position) makes one")
+        share = number("share", share, 0.0, 1.0)
+        turn = rotation_from_vector(share * rotation_vector(self.rotation.T @ other.rotation))
+        return computed_pose(self.position + share * (other.position - self.position), self.rotation @ turn)
+
     def __matmul__(self, other: Pose) -> Pose:
         if not isinstance(other, Pose):
             return NotImplemented
@@ -265,6 +358,21 @@ def _pinocchio() -> ModuleType:
     import pinocchio
 
     return pinocchio
+
+
+def _euler() -> type[Rotation]:
+    """SciPy's rotations, imported when angles of Euler are first needed."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
+
+
+def _checked_order(order: str) -> str:
+    """A caller's order of three axes: InputError if it is none, such as one with the same axis twice in a row."""
+    is_order = isinstance(order, str) and len(order) == 3 and (order.islower() or order.isupper())
+    if not is_order or set(order.lower()) - set("xyz") or order[0] == order[1] or order[1] == order[2]:
+        raise InputError(f"order: {shown(order)} are no three axes; give 'xyz' for fixed axes, or 'ZYX' for turned ones")
+    return order
 
 
 @cache

@@ -209,3 +209,56 @@ def test_a_rotation_that_was_computed_keeps_every_bit():
         T = T @ Pose([0.0, 0.0, 0.0], rpy=[0.3, -0.2, 0.1])
     assert np.array_equal(Pose.from_rotation(T.position, T.rotation).rotation, T.rotation)
     assert pickle.loads(pickle.dumps(T)) == T
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_axes_angles_and_orders_of_euler_agree_with_scipy(seed):
+    rng = np.random.default_rng(seed)
+    axis = rng.standard_normal(3)
+    angle = rng.uniform(0.1, 3.0)
+    pose = Pose.from_axis_angle([1.0, 2.0, 3.0], 5.0 * axis, angle)
+    expected = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+    assert pose.rotation == pytest.approx(expected.as_matrix(), abs=1e-14)
+    found_axis, found_angle = pose.axis_angle
+    assert found_angle == pytest.approx(angle)
+    assert found_axis == pytest.approx(axis / np.linalg.norm(axis))
+    for order in ("xyz", "ZYX", "zxz", "YZY"):
+        assert pose.euler(order) == pytest.approx(expected.as_euler(order))
+        assert Pose.from_euler(pose.position, order, pose.euler(order)).rotation == pytest.approx(pose.rotation, abs=1e-14)
+    assert pose.euler("xyz") == pytest.approx(pose.rpy)
+
+
+def test_the_logarithm_is_the_inverse_of_the_exponential():
+    twist = np.array([0.1, -0.2, 0.3, 0.5, -1.0, 1.5])
+    pose = Pose.exp(twist)
+    assert pose.log() == pytest.approx(twist, abs=1e-12)
+    small = np.eye(4) + 1e-4 * np.array([[0, -1.5, -1.0, 0.1], [1.5, 0, -0.5, -0.2], [1.0, 0.5, 0, 0.3], [0, 0, 0, 0]])
+    assert Pose.exp(1e-4 * twist).matrix == pytest.approx(small, abs=1e-7)  # exp(x) = 1 + x + ...
+    half = Pose.exp(0.5 * twist)
+    assert (half @ half).matrix == pytest.approx(pose.matrix, abs=1e-12)
+
+
+def test_the_way_between_two_poses_is_a_line_and_a_turn_about_one_axis():
+    start = Pose([0.1, 0.0, 0.0], rpy=[0.3, 0.2, -0.1])
+    end = start @ Pose.from_axis_angle([0.0, 0.4, 0.0], [1.0, 1.0, 0.0], 1.2)
+    for share in (0.0, 0.25, 1.0):
+        pose = start.interpolated(end, share)
+        assert pose.position == pytest.approx((1 - share) * start.position + share * end.position)
+        assert pose.distance(start)[1] == pytest.approx(1.2 * share, abs=1e-12)
+        assert pose.distance(end)[1] == pytest.approx(1.2 * (1 - share), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: Pose.from_axis_angle([0, 0, 0], [0, 0, 0], 1.0), r"axis: \[0.0, 0.0, 0.0\] has no direction"),
+        (lambda: Pose.from_euler([0, 0, 0], "xxz", [0, 0, 0]), "order: 'xxz' are no three axes"),
+        (lambda: Pose([0, 0, 0]).euler("xYz"), "order: 'xYz' are no three axes"),
+        (lambda: Pose.exp([1.0, 2.0]), "twist: expected 6 numbers, got 2"),
+        (lambda: Pose([0, 0, 0]).interpolated(Pose([1, 0, 0]), 1.5), "share: expected"),
+        (lambda: Pose([0, 0, 0]).interpolated(3, 0.5), "other: expected Pose, got 3"),
+    ],
+)
+def test_wrong_orientations_are_one_sentence(call, sentence):
+    with pytest.raises(InputError, match=sentence):
+        call()
