@@ -89,8 +89,10 @@ def main() -> None:
     reasons = []
     for arm in args.arms:
         outcomes = []
+        alone = armctl.load(arm, **ARMS[arm])
+        tip = alone.fk(alone.home).position[:2]
         for number in range(args.first, args.first + args.cases):
-            case = _case(number)
+            case = _case(number, tip)
             outcome = _run(arm, case)
             outcomes.append(outcome)
             if outcome.reason or outcome.foreign:
@@ -115,15 +117,15 @@ def main() -> None:
     print(text)
 
 
-def _case(number: int) -> Case:
-    """A table on which a thing, its goal and the boxes have room."""
+def _case(number: int, tip: np.ndarray) -> Case:
+    """A table on which a thing, its goal and the boxes have room, also beside the tip (2,) m of the arm at home."""
     rng = np.random.default_rng(number)
     name = list(THINGS)[number % len(THINGS)]
     thing = THINGS[name]
     places: list[np.ndarray] = []
     while len(places) < BOXES + 2:
         place = rng.uniform(*PLACES)
-        if all(np.linalg.norm(place - other) > ROOM_M for other in places):
+        if all(np.linalg.norm(place - other) > ROOM_M for other in [tip, *places]):
             places.append(place)
     turns = rng.uniform(-np.pi, np.pi, len(places))
     height = TOP_M + thing.half

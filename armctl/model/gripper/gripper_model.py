@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.defaults import SETTLE_TIMEOUT_S
-from armctl.core.errors import ModelError
-from armctl.core.validation import Array, IntArray, frozen
+from armctl.core.errors import InputError, ModelError
+from armctl.core.validation import Array, IntArray, frozen, number
 from armctl.model.arm.arm import Arm
 from armctl.model.gripper.jaws import MIN_OPENING, Jaws, find_jaws
 from armctl.model.gripper.mechanism import find_mechanism
@@ -23,6 +23,7 @@ _MIN_SETTLE_S = 0.1
 _SETTLED_SPEED = 1e-4  # rad/s, m/s
 # A servo made of a motor pushes with its full force at this fraction of the joint's range.
 _FULL_FORCE_FRACTION = 0.1
+_FORCE_TOLERANCE = 1e-9  # relative, for forces at the gripper's limit
 _SERVO_BANDWIDTH = 0.2  # rad per time step: a tenth of the stability limit of explicit integration of its damping
 
 
@@ -57,6 +58,14 @@ class GripperModel:
         """(actuators,) forces that press the pads together with a force, N, by virtual work: sum f dl = -F dw."""
         slope = np.ptp(self.width) / (self.length[-1] - self.length[0])
         return -force * slope / len(self.actuators)
+
+
+def checked_force(force: float, force_max: float) -> float:
+    """A force between the pads, N; InputError for more than a gripper has."""
+    force = number("force", force, 0.0)
+    if force > force_max * (1 + _FORCE_TOLERANCE):
+        raise InputError(f"force: {force:g} N is more than the maximum of this gripper, {force_max:.3g} N")
+    return force
 
 
 def find_gripper_model(arm: Arm, tip: str | None = None) -> GripperModel:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from armctl.plan.ik.solve_batch import solve_ik_batch
 _CHUNK = 64  # poses that are solved at a time
 _RANDOM_STARTS = 2
 _MAX_LINES = 60  # poses of which lines are tried, from one start
+_SAME_RAD = 1e-2  # rad (m), below which two starts have led to the same configuration
 _TURN_COST = 0.05  # 1/rad, of the joints' way
 # An arm of fewer joints cannot reach a pose exactly, such as that of a body which is tilted in the gripper by a milliradian.
 _JOINTS_FOR_ANY_POSE = 6
@@ -55,15 +57,16 @@ class Configurations:
 
         Sets `failures.pose`, and notes there what is out of reach or in contact.
         """
+        tried: dict[int, list[Array]] = {}
         for start in range(len(self._starts)):
-            count = 0
-            for first in range(0, len(self._tips), _CHUNK):
-                for reached in self._free_of_chunk(start, first, checker, failures):
-                    count += 1
-                    if count > _MAX_LINES:
-                        break
-                    failures.pose = reached.row
-                    yield reached
+            chunks = (self._free_of_chunk(start, first, checker, failures) for first in range(0, len(self._tips), _CHUNK))
+            for reached in itertools.islice(itertools.chain.from_iterable(chunks), _MAX_LINES):
+                known = tried.setdefault(reached.row, [])
+                if any(np.abs(reached.q - q).max() < _SAME_RAD for q in known):
+                    continue
+                known.append(reached.q)
+                failures.pose = reached.row
+                yield reached
 
     def _free_of_chunk(self, start: int, first: int, checker: CollisionChecker, failures: Failures) -> Iterator[Reached]:
         solved = self._chunk(start, first)

@@ -20,7 +20,7 @@ from armctl.core.validation import number, vector
 from armctl.model.arm.arm import check_one_tip
 from armctl.model.collision.world_snapshot import WorldSnapshot, read_world
 from armctl.model.gripper.grip_frames import GripFrames, grip_frames
-from armctl.model.gripper.gripper_model import GripperModel
+from armctl.model.gripper.gripper_model import GripperModel, checked_force
 from armctl.plan.grasp.attempts import ProvedMotion, Ways
 from armctl.plan.grasp.candidates import MIN_FINGER_GAP_M, least_width
 from armctl.plan.grasp.handled_bodies import find_body
@@ -284,7 +284,7 @@ class HandCommands(Commands):
     def _force(self, force: float | None, body: HandledBody, gripper: GripperModel) -> float:
         """N between the pads."""
         if force is not None:
-            return number("force", force, 0.0)
+            return checked_force(force, gripper.force_max)
         weight = (body.mass or 0.0) * float(np.linalg.norm(self.model.opt.gravity))
         return min(max(DEFAULT_GRIP_FORCE, _FORCE_OF_WEIGHT * weight), gripper.force_max)
 

@@ -143,6 +143,8 @@ def test_a_full_hand_picks_nothing_and_an_empty_one_places_nothing(gantry: armct
     assert sim.pick("brick")
     with pytest.raises(armctl.InputError, match="the gripper already holds brick"):
         sim.pick("far")
+    with pytest.raises(armctl.InputError, match="force: 1000 N is more than the maximum of this gripper"):
+        armctl.Simulation(gantry).pick("brick", force=1000)
     inside = sim.place("brick", [0, 0, TOP])
     assert not inside
     assert "table" in inside.reason

@@ -8,11 +8,10 @@ import mujoco
 import numpy as np
 
 from armctl.core.defaults import DEFAULT_GRIP_FORCE, SETTLE_TIMEOUT_S
-from armctl.core.errors import InputError
 from armctl.core.result import GripResult
 from armctl.core.validation import instance, number
 from armctl.model.arm.arm import Arm
-from armctl.model.gripper.gripper_model import find_gripper_model, make_usable
+from armctl.model.gripper.gripper_model import checked_force, find_gripper_model, make_usable
 from armctl.model.mjmodel.queries import acts, body_name, is_loose
 from armctl.run.sim.stepper import Stepper
 
@@ -21,7 +20,6 @@ _REST_CHECK_INTERVAL_S = 0.02
 _MIN_WAIT_S = 0.1
 _SETTLED_PAD_SPEED = 2e-4  # m/s
 _WIDTH_TOLERANCE = 1e-3  # m
-_FORCE_TOLERANCE = 1e-9  # relative, for forces at the gripper's limit
 # Corrections of the commanded width or force, for springs and friction of the mechanism.
 _MAX_CORRECTIONS = 20
 _WIDTH_CORRECTION_TOLERANCE = 2e-4  # m
@@ -143,9 +141,7 @@ class Gripper:
             InputError: More force than the gripper has.
             SimulationError: The arm's controller failed.
         """
-        force = number("force", force, 0.0)
-        if force > self.model.force_max * (1 + _FORCE_TOLERANCE):
-            raise InputError(f"force: {force:g} N is more than the maximum of this gripper, {self.model.force_max:.3g} N")
+        force = checked_force(force, self.model.force_max)
         begin = self._begin()
         self._ramp(0.0, until_touch=True)
         if not self._grasped()[0]:
