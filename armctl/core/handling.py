@@ -50,6 +50,7 @@ class PickResult(Verdict):
         ok: Whether the body is held and lifted.
         body: Its name.
         reason: The reason if it is not ok; empty if it is.
+        held: Whether the body is in the gripper at the end, lifted or not.
         grasp: The grasp that was chosen; None if there is none that the arm can make.
         grip: How the gripper closed; None if it did not.
         moves: The moves of the arm, in their order.
@@ -58,14 +59,10 @@ class PickResult(Verdict):
     ok: bool
     body: str
     reason: str
+    held: bool = False
     grasp: Grasp | None = None
     grip: GripResult | None = None
     moves: tuple[MoveResult, ...] = ()
-
-    @property
-    def held(self) -> bool:
-        """Whether the body is in the gripper, lifted or not."""
-        return self.grip is not None and self.grip.grasped and self.ok
 
     @property
     def duration(self) -> float:

@@ -212,9 +212,10 @@ class HandCommands(Commands):
         self._grasped(scene)
         moves.append(self._follow(plan.lift, carries=True))
         reason = "" if moves[-1] else f"the arm did not lift it: {moves[-1].reason}"
-        if self._held_body() != name:
+        is_held = self._held_body() == name
+        if not is_held:
             reason = "it was lost while it was lifted"
-        return replace(planned, ok=not reason, reason=reason, moves=tuple(moves))
+        return replace(planned, ok=not reason, reason=reason, held=is_held, moves=tuple(moves))
 
     def _place_along(self, plan: PlacePlan, gripper: GripperCommands, body: HandledBody, tolerance: float) -> PlaceResult:
         """Carries out a plan as far as it goes."""

@@ -132,6 +132,7 @@ def test_what_no_grasp_reaches_is_a_result_with_the_reason(gantry: armctl.Arm, b
     result = sim.pick(body)
     assert not result
     assert words in result.reason
+    assert not result.held
     assert result.moves == ()
     assert sim.log is None  # nothing has moved
 
