@@ -128,6 +128,21 @@ class Pose:
             raise InputError(f"rotation: expected shape (3, 3), got {R.shape}")
         return computed_pose(vector("position", position, 3), read_rotations("rotation", R[None])[0])
 
+    def turned_about(self, point: ArrayLike, axis: ArrayLike, angle: float) -> Pose:
+        """This pose after everything has turned about a line, as a handle does with its door.
+
+        Args:
+            point: (3,) m, on the line.
+            axis: (3,) its direction.
+            angle: rad.
+
+        Raises:
+            InputError: A wrong length, a number that is not finite, or an axis of zeros.
+        """
+        turn = Pose.from_axis_angle([0.0, 0.0, 0.0], axis, angle).rotation
+        center = vector("point", point, 3)
+        return computed_pose(center + turn @ (self.position - center), turn @ self.rotation)
+
     @property
     def matrix(self) -> Array:
         """(4, 4) homogeneous transform."""

@@ -92,7 +92,7 @@ class GripResult(Verdict):
     Attributes:
         ok: Whether the gripper grasped something, or reached the requested width.
         grasped: Whether something is held between the pads.
-        held: The body that is held; empty if none. Only a body that moves freely can be held.
+        held: The body that is held; empty if none. Only a body that moves can be held: a loose one, or the handle of a door.
         width: m between the pads.
         force: N, the contact force on the held body; the smaller of the two sides.
         duration: s of simulated time.

@@ -262,3 +262,13 @@ def test_the_way_between_two_poses_is_a_line_and_a_turn_about_one_axis():
 def test_wrong_orientations_are_one_sentence(call, sentence):
     with pytest.raises(InputError, match=sentence):
         call()
+
+
+@given(poses, coordinates, coordinates.filter(any), st.floats(-3, 3))
+def test_what_turns_about_a_line_is_moved_by_a_rigid_turn_that_leaves_the_line(pose, point, axis, angle):
+    turned = pose.turned_about(point, axis, angle)
+    there = Pose(point) @ Pose.from_axis_angle([0, 0, 0], axis, angle) @ Pose(-np.array(point))
+    assert_same(turned, there @ pose, 1e-9)
+    direction = np.array(axis) / np.linalg.norm(axis)
+    heights = [(each.position - point) @ direction for each in (pose, turned)]
+    assert heights[0] == pytest.approx(heights[1], abs=1e-9)

@@ -37,7 +37,7 @@ _DEFAULT = mujoco.MjSpec().default.geom
 
 
 class SceneFile:
-    """The bodies, geoms and joints of an MJCF file; what has a free joint is loose."""
+    """The bodies, geoms and joints of an MJCF file; what has a joint moves: a loose body, a door, a drawer."""
 
     def __init__(self, path: str | os.PathLike[str]):
         """Reads a scene; ModelError if MuJoCo cannot, or if it holds a robot."""
@@ -56,18 +56,18 @@ class SceneFile:
             what = f"the actuator {actuator_name(model, 0)!r}" if model.nactuator else "a tendon"
             raise ModelError(f"scene: {path} has {what}, so it is a robot; a scene has only bodies, geoms and joints")
         self.bodies = [body.name for body in self._spec.bodies[1:] if body.name]
-        self.is_loose = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())  # whether anything in it is loose
+        self.moves = model.njnt > 0  # whether anything in it does
 
     def build(self, spec: mujoco.MjSpec, contact: Mapping[str, object]) -> None:
         """Adds everything in it to a specification, except options, sensors and keyframes: the robot's are used.
 
-        `contact` has parameters of loose geoms for which the file keeps MuJoCo's defaults.
+        `contact` has parameters of geoms that move, for which the file keeps MuJoCo's defaults.
         """
         child = self._spec.copy()
         for element in [*child.keys, *child.sensors]:
             child.delete(element)
         for body in child.bodies[1:]:
-            if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+            if _moves(body):
                 for geom in filter(_has_default_contact, body.geoms):
                     for name, value in contact.items():
                         setattr(geom, name, value)
@@ -95,6 +95,11 @@ class SceneFile:
         return renamed
 
 
+def _moves(body: mujoco.MjsBody) -> bool:
+    """Whether a joint moves a body."""
+    return bool(body.joints) or (body.parent is not None and body.parent.name != "world" and _moves(body.parent))
+
+
 def _has_default_contact(geom: mujoco.MjsGeom) -> bool:
     return all(np.array_equal(getattr(geom, name), getattr(_DEFAULT, name)) for name in _CONTACT)
 
@@ -106,7 +111,7 @@ class SceneParts:
     """What stands and lies around a robot, as `load` takes it: worlds, as they are now, and MJCF files."""
 
     def __init__(self, *parts: ScenePart):
-        """The parts. In worlds, bodies with a mass are loose; in files, those with a free joint.
+        """The parts. In worlds, bodies with a mass are loose; in files, those with a free joint, and others may have joints.
 
         Raises:
             InputError: A world has points or an attached body, which physics cannot have, or a part is neither.
@@ -133,7 +138,7 @@ class SceneParts:
         for body in self._bodies:
             if body.name in geoms:
                 raise InputError(f"scene: the model has a geom {body.name!r} already; choose another name")
-        if any(body.mass is not None for body in self._bodies) or any(file.is_loose for file in self._files):
+        if any(body.mass is not None for body in self._bodies) or any(file.moves for file in self._files):
             spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
             spec.option.impratio = max(spec.option.impratio, _FRICTION_RATIO)
             spec.option.timestep = min(spec.option.timestep, _MAX_TIMESTEP_S)

@@ -22,7 +22,7 @@ from armctl.core.validation import flag, number, vector
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.loading.load import load
-from armctl.model.mjmodel.queries import has_obstacles
+from armctl.model.mjmodel.queries import has_obstacles, is_loose
 from armctl.model.mjmodel.target_marker import without_marker
 from armctl.run.execution.contact_reaction import ContactReaction, check_reaction
 from armctl.run.execution.hand_commands import GripperAtHand, HandCommands
@@ -265,4 +265,5 @@ class Simulation(HandCommands):
     def _held(self) -> dict[str, int]:
         bodies = {frame.name: frame.body for frame in self.arm.tip_frames}
         held = {tip: gripper.held for tip, gripper in self._grippers.items()}
-        return {body: bodies[tip] for tip, body in held.items() if body}
+        # The handle of a door goes its own way, so it is an obstacle with which contact may be allowed.
+        return {body: bodies[tip] for tip, body in held.items() if body and is_loose(self.model, self.model.body(body).id)}

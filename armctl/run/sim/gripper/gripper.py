@@ -12,7 +12,7 @@ from armctl.core.result import GripResult
 from armctl.core.validation import instance, number
 from armctl.model.arm.arm import Arm
 from armctl.model.gripper.gripper_model import checked_force, find_gripper_model, make_usable
-from armctl.model.mjmodel.queries import acts, body_name, is_loose
+from armctl.model.mjmodel.queries import acts, body_name
 from armctl.run.sim.stepper import Stepper
 
 PAD_SPEED = 0.1  # m/s, of the pads relative to each other
@@ -227,7 +227,7 @@ class Gripper:
             before = now
 
     def _grasped(self) -> tuple[str, float]:
-        """The loose body that both sides touch, and the force, N, of the side that presses less."""
+        """The body that moves and that both sides touch, and the force, N, of the side that presses less."""
         model = self._stepper.model
         data = self._stepper.data
         wrench = np.zeros(6)
@@ -239,7 +239,7 @@ class Gripper:
             bodies = [int(model.geom_bodyid[g]) for g in contact.geom]
             for side, on in zip(self.model.jaws.sides, forces, strict=True):
                 for one, other in (bodies, bodies[::-1]):
-                    if one in side and other not in own and is_loose(model, other):
+                    if one in side and other not in own and model.body_weldid[other] != 0:
                         mujoco.mj_contactForce(model, data, index, wrench)
                         on[other] = on.get(other, 0.0) + abs(wrench[0])
         both = {body: min(forces[0][body], forces[1][body]) for body in forces[0].keys() & forces[1].keys()}
