@@ -23,6 +23,7 @@ from armctl.cli import (
     reachability,
     robot,
     robots,
+    ros2,
     simulate,
     study,
     tour,
@@ -32,7 +33,7 @@ from armctl.cli.common import DONE, WRONG_CALL, print_json
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.uninterrupted import uninterrupted_import
 
-_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, identify, simulate, study, view, tour, robot, mcp)
+_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, identify, simulate, study, view, tour, robot, ros2, mcp)
 _NOT_OPTIONS = {"action", "host", "robot", "law", "file", "run", "options"}
 
 

@@ -10,6 +10,7 @@ import mujoco_menagerie
 import pytest
 from arms import MISSING, some_of
 from example_outputs import APART, EXAMPLES, assert_printed
+from ros2_controller import HAS_ROS2
 
 import armctl
 
@@ -46,6 +47,10 @@ def test_an_example_runs(example: Path, tmp_path: Path, monkeypatch: pytest.Monk
         if MISSING not in str(error):
             raise
         pytest.skip(f"{str(error).split(':')[0]}: {MISSING}")
+    except armctl.NotInstalledError as error:
+        if HAS_ROS2 or "ROS 2" not in str(error):
+            raise
+        pytest.skip("ROS 2 is not installed")
     except mujoco_menagerie.DownloadError:
         pytest.skip(f"a robot of Menagerie: {MISSING}")
     assert_printed(example, capsys.readouterr().out)

@@ -7,8 +7,10 @@ from .link import Link as Link
 from .link import MotionLink as MotionLink
 from .link import Reading as Reading
 from .link_check import LinkCheck as LinkCheck
+from .motion_run import MotionRun as MotionRun
 from .plant_link import PlantLink as PlantLink
 from .ros2 import ROS2 as ROS2
+from .ros2_server import serve_ros2 as serve_ros2
 from .so101 import SO101 as SO101
 from .torque_interface import TorqueInterface as TorqueInterface
 from .torque_interface import TorqueLink as TorqueLink

@@ -156,6 +156,25 @@ class LinkDrive:
             recorder.end_run(end)
             self._wait_for(end - 1 - ahead)
 
+    @property
+    def moves(self) -> bool:
+        """Whether a motion is played, and is not over."""
+        stream = self._stream.current
+        return stream is not None and stream.tick < stream.end(self.dt)
+
+    def wait(self, seconds: float) -> None:
+        """Lets time pass while a motion is played, at least a tick."""
+        stream = self._stream.current
+        if stream is not None:
+            self._wait_for(stream.tick + max(1, round(seconds / self.dt)))
+
+    def open_motion(self, seconds: float) -> Pieces | None:
+        """What is left of the motion some seconds from now, from where `run` replaces it next; None if it is over then."""
+        left = self._stream.open_motion(max(1, round(seconds / self.dt)))
+        if left is None:
+            self.come_to_rest(stop=False)
+        return left
+
     def hold(self, seconds: float) -> Array:
         """Streams the present position for a while; the times of the readings, s."""
         recorder = self.recorder()

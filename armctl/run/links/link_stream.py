@@ -9,6 +9,7 @@ import numpy as np
 
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
+from armctl.plan.motion.trajectory.path_stop import remaining
 from armctl.plan.motion.trajectory.piecewise import Pieces, sample
 from armctl.run.links.host import START_TOLERANCE, LinkHost, Played, Progress
 from armctl.run.links.process import RemoteHost
@@ -82,6 +83,20 @@ class LinkStream:
         stream.moves = duration > ticks * self._dt + 1e-9
         self.q_end = sample(motion, np.array([duration])).q[0]
         return played._replace(opens=opens)
+
+    def open_motion(self, ticks: int) -> Pieces | None:
+        """What is left of the motion after some ticks from now, when another one may continue it; None if it is over then."""
+        stream = self.current
+        if stream is None:
+            return None
+        tick = max(stream.tick, stream.start) + ticks
+        if tick >= stream.end(self._dt):
+            return None
+        before = sample(stream.motion, self._dt * (np.arange(tick - 3, tick, dtype=np.float64) - stream.start)).q
+        stream.next = tick
+        stream.moves = True
+        stream.rows = before
+        return remaining(stream.motion, self._dt * (tick - stream.start))
 
     def stop(self, reason: str) -> None:
         """Brakes on the path."""

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import re
-import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -43,9 +39,11 @@ from armctl.run.links.host import LinkHost
 from armctl.run.links.link import Link, check_link
 from armctl.run.links.link_check import LinkCheck, link_check_of, model_refusal, tip_difference
 from armctl.run.links.link_drive import LinkDrive
+from armctl.run.links.motion_run import MotionRun
 from armctl.run.links.process import RemoteHost
 from armctl.run.links.robot_arm import RobotArm
 from armctl.run.links.robot_law import check_that_link_bears, link_law
+from armctl.run.links.sole_program import hold_alone
 
 LEASE_S = 0.5  # without a request of the planner, until the arm brakes
 _SLOWEST = 0.02  # of a motion's speed; one that must be slower is refused
@@ -120,7 +118,7 @@ class Robot(HandCommands):
             raise LinkError(f"the robot has {len(envelope.limits.q_min)} joints, the model {model.name:.60} has {model.n}")
         self.link = link
         arm = model.with_limits(envelope.planning_limits(model.limits, speed))
-        self._lock = _lock(link.address)
+        self._lock = hold_alone(link.address, f"{link.address}: another program commands this robot; end it first")
         with contextlib.ExitStack() as failed:
             failed.callback(self._unlock)
             law = link_law(arm, link, controller, envelope, error_max)
@@ -308,6 +306,21 @@ class Robot(HandCommands):
         """
         return self._rehearsed(super().follow(target, duration=duration))
 
+    def playing(self) -> MotionRun:
+        """Opens a run of whole motions, each of which may replace what is left of the one before, for a `with`.
+
+        Example::
+
+            with robot.playing() as run:
+                reason = run.play(motion)
+                while run.moves and not reason:
+                    reason = run.advance(0.1)
+
+        Returns:
+            The run: its `play` takes motions, and its `advance` lets time pass.
+        """
+        return MotionRun(self._controlled, self._drive, self._refusal, self._provable)
+
     def _gripper_at_hand(self) -> GripperAtHand:
         gripper = self.gripper
         if not self._hands:
@@ -401,25 +414,3 @@ class Robot(HandCommands):
     def _unlock(self) -> None:
         if self._lock is not None:
             self._lock.close()
-
-
-def _lock(address: str) -> IO[str] | None:
-    """A lock on a robot for this process, released when it ends; None for a simulation."""
-    if not address:
-        return None
-    import fcntl
-
-    name = re.sub(r"[^A-Za-z0-9.]+", "-", address).strip("-")
-    path = Path(tempfile.gettempdir()) / f"armctl-{name}.lock"
-    with contextlib.suppress(OSError):  # another user's file
-        path.touch(mode=0o666)
-    file = open(path, "r+")  # noqa: SIM115  # open as long as the robot is
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
-        raise LinkError(f"{address}: another program commands this robot; end it first") from None
-    file.truncate(0)
-    file.write(f"{os.getpid()}\n")
-    file.flush()
-    return file

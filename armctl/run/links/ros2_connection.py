@@ -16,10 +16,9 @@ from armctl.core.errors import LinkError, few_names
 from armctl.core.validation import Array
 from armctl.plan.motion.trajectory.piecewise import JointSamples
 from armctl.run.links.joint_states import JointStates
-from armctl.run.links.ros2_node import RosNode, import_ros, stamp
+from armctl.run.links.ros2_node import QUEUE, RosNode, import_ros, stamp
 
-_QUEUE = 10  # messages
-_DISCOVERY_S = 5.0  # until nodes on one computer or network know each other
+_DISCOVERY_S = 10.0  # until a driver that was just started has its nodes, and they are known
 _numbers = itertools.count(1)  # of the nodes of this process: another commander in it has another name
 _MATCH_S = 0.5  # from when this node knows the controller until it knows this node, too
 _SILENCE_S = 0.5  # without a state, after which the link counts as lost
@@ -50,7 +49,7 @@ class Ros2Connection:
         qos = import_ros("rclpy.qos")
         states = import_ros("sensor_msgs.msg").JointState
         # Best effort takes states from reliable and from best-effort publishers.
-        profile = qos.QoSProfile(depth=_QUEUE, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
+        profile = qos.QoSProfile(depth=QUEUE, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
         self.node.node.create_subscription(states, names.states, self._take, profile)
         motions = import_ros("trajectory_msgs.msg").JointTrajectory
         self._publisher = self.node.node.create_publisher(motions, names.motions, 1)
@@ -193,7 +192,7 @@ _BEHIND_RAD = 0.25  # of where it should be, for so long: a joint that is blocke
 _BEHIND_S = 0.3
 _ASKED_RAD = 0.02  # of a motion, of which so small a share for so long means that nobody plays it
 _MOVED_SHARE = 0.1
-_UNMOVED_S = 0.5
+_UNMOVED_S = 1.0
 
 
 class FollowingCheck:
@@ -214,12 +213,13 @@ class FollowingCheck:
         asked = np.abs(commanded - self._start).max()
         is_unmoved = asked > _ASKED_RAD and np.abs(q - self._start).max() < _MOVED_SHARE * asked
         self._unmoved_since = min(self._unmoved_since, t) if is_unmoved else np.inf
-        if t - self._unmoved_since > _UNMOVED_S:
+        is_behind = t - self._behind_since > _BEHIND_S
+        if t - self._unmoved_since > _UNMOVED_S or (is_behind and is_unmoved):
             raise LinkError(
                 f"the arm does not move: is {self._names.controller} active (ros2 control list_controllers), and what does its "
                 "log say about the motion?"
             )
-        if t - self._behind_since > _BEHIND_S:
+        if is_behind:
             raise LinkError(
                 f"{self._names.joints[joint]} is {behind[joint]:.3f} rad from where it should be: it is blocked, or another "
                 "node commands the controller"

@@ -15,6 +15,7 @@ from armctl.core.errors import InputError, NotInstalledError, shown
 
 _WHEEL = "ros-rclpy"
 _NANO = 1e-9
+QUEUE = 10  # messages
 _ANSWER_S = 2.0  # of a service on a busy computer
 
 
@@ -73,6 +74,11 @@ class RosNode:
         self._executor.add_node(self.node)
 
     @property
+    def domain(self) -> int:
+        """The number of the node's domain."""
+        return self._context.get_domain_id()
+
+    @property
     def now(self) -> float:
         """s, the time of the node's clock; 0 while a clock of a simulation has not come."""
         return _NANO * self.node.get_clock().now().nanoseconds
@@ -100,6 +106,10 @@ class RosNode:
         infos = self.node.get_publishers_info_by_topic(self.resolved(topic))
         names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos}
         return sorted(names - {self.node.get_fully_qualified_name()})
+
+    def count_named(self, name: str) -> int:
+        """How many nodes have a full name."""
+        return sum(f"{space.rstrip('/')}/{each}" == name for each, space in self.node.get_node_names_and_namespaces())
 
     def topics_of(self, kind: str) -> list[str]:
         """The topics of a type that the node knows."""
