@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -285,6 +285,14 @@ def read_plant(plant: Plant | None) -> Plant:
     plant = NOMINAL if plant is None else plant
     instance("plant", plant, Plant, "armctl.Plant(payload=1.0) is one")
     return plant
+
+
+def with_tick(plant: Plant, dt: float) -> Plant:
+    """A plant with a tick of so many seconds. InputError if it has another one, or for a tick out of bounds."""
+    dt = number("dt", dt)
+    if plant.timestep not in (None, dt):
+        raise InputError(f"dt: {dt:g} s, but the plant has timestep={plant.timestep:g} s; give one of them")
+    return replace(plant, timestep=dt)
 
 
 class Brake:

@@ -28,7 +28,7 @@ from armctl.run.execution.contact_reaction import ContactReaction, check_reactio
 from armctl.run.execution.hand_commands import GripperAtHand, HandCommands
 from armctl.run.execution.move import RunPurpose, read_controller
 from armctl.run.execution.recorder import ticks_for
-from armctl.run.sim.plant import Plant, read_plant
+from armctl.run.sim.plant import Plant, read_plant, with_tick
 from armctl.run.sim.simulated_arm import ConstantTorque, SimulatedArm
 from armctl.run.sim.stepper import Stepper
 
@@ -71,7 +71,13 @@ class Simulation(HandCommands):
         )
 
     def __init__(
-        self, robot: Arm | str, controller: Controller | str | None = None, plant: Plant | None = None, *, viewer: bool = False
+        self,
+        robot: Arm | str,
+        controller: Controller | str | None = None,
+        plant: Plant | None = None,
+        *,
+        dt: float | None = None,
+        viewer: bool = False,
     ):
         """A simulation with the arm at home, at rest.
 
@@ -79,15 +85,17 @@ class Simulation(HandCommands):
             robot: An arm, or a name for `armctl.load`.
             controller: A controller or its name; computed torque by default.
             plant: How the simulated arm differs from the model; by default it does not.
+            dt: s, the tick, as `Plant(timestep=dt)`; left out, that of the plant or of the model.
             viewer: Whether a page in the browser shows the simulation in real time.
 
         Raises:
+            InputError: The tick is out of its bounds, or the plant has another one.
             UnknownNameError: There is no such robot or controller.
             ModelError: The robot's model is no arm.
         """
         arm = robot if isinstance(robot, Arm) else load(robot)
         law = ComputedTorque(arm) if controller is None else read_controller(controller, arm)
-        self.plant = read_plant(plant)
+        self.plant = read_plant(plant) if dt is None else with_tick(read_plant(plant), dt)
         self.viewer = hooks.open_viewer(arm) if flag("viewer", viewer) and hooks.open_viewer is not None else None
         self._stepper = Stepper(arm, self.plant, self.viewer)
         self._controlled: SimulatedArm = SimulatedArm(arm, law, self._stepper)

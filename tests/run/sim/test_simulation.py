@@ -400,3 +400,19 @@ def test_a_report_after_follow_measures_against_the_target(bundled: Arm):
     assert not report.ok
     assert report.final_tip_error_m == pytest.approx(np.linalg.norm(far.tip[-1] - [0.9, 0.1, 0.3]))
     assert report.final_tip_error_m > 0.3
+
+
+def test_the_tick_of_a_simulation_is_that_of_its_plant():
+    arm = arm_of("robot_arm_3dof")
+    target = arm.fk(arm.home + 0.1).position
+    fast = Simulation(arm, "pd", Plant(payload=0.1), dt=0.001)
+    same = Simulation(arm, "pd", Plant(payload=0.1, timestep=0.001))
+    logs = [sim.move_to(target).log for sim in (fast, same)]
+    assert logs[0] is not None
+    assert logs[1] is not None
+    assert logs[0].dt == 0.001
+    assert (logs[0].q == logs[1].q).all()
+    with pytest.raises(InputError, match=r"dt: 0\.002 s, but the plant has timestep=0\.001 s; give one of them"):
+        Simulation(arm, plant=Plant(timestep=0.001), dt=0.002)
+    with pytest.raises(InputError, match="timestep: expected"):
+        Simulation(arm, dt=1.0)
