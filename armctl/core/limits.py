@@ -151,12 +151,12 @@ class Limits:
 
     @cached_property
     def v_low(self) -> Array:
-        """(n,) rad/s, the lowest velocities away from the ends of the range: `v_min`, or `-v_max` where there is none."""
+        """(n,) rad/s, the lowest velocities away from the ends of the range; `v_min`, or `-v_max` where there is none."""
         return frozen(np.where(np.isfinite(self.v_min), self.v_min, -self.v_max))
 
     @cached_property
     def a_low(self) -> Array:
-        """(n,) rad/s^2, the lowest accelerations: `a_min`, or `-a_max` where there is none."""
+        """(n,) rad/s^2, the lowest accelerations; `a_min`, or `-a_max` where there is none."""
         return frozen(np.where(np.isfinite(self.a_min), self.a_min, -self.a_max))
 
     @cached_property
