@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from arms import BUNDLED
+from arms import BUNDLED, arm_of
 
 import armctl
 from armctl.model.mjmodel.queries import acts, is_below, robot_roots
@@ -230,3 +230,43 @@ def test_what_was_called_is_in_the_record(served: Served):
     assert not rows[-1]["ok"]
     assert "out of reach" in rows[-1]["answer"]
     assert [row["call"] for row in rows] == list(range(1, len(rows) + 1))
+
+
+TABLE = """
+<mujoco><worldbody>
+  <body name="table" pos="0.5 0 0.1"><geom type="box" size="0.2 0.3 0.1"/></body>
+  <body name="cube" pos="0.5 0 0.225"><freejoint/><geom type="box" size="0.025 0.025 0.025" mass="0.1"/></body>
+</worldbody></mujoco>
+"""
+
+
+@pytest.mark.full
+def test_a_cube_is_grasped_lifted_and_carried_and_nothing_else_is_touched(tmp_path: Path):
+    arm_of("panda")  # skips where it is not installed
+    scene = tmp_path / "scene.xml"
+    scene.write_text(TABLE)
+    down = [0.0, 1.0, 0.0, 0.0]
+    record = tmp_path / "record"
+    with mcp_client(tmp_path, "panda", "--scene", str(scene), "--out", str(record)) as client:
+        for tool, arguments in (
+            ("open", {}),
+            ("move_to", {"position": [0.5, 0.0, 0.35], "quat": down}),
+            ("move_l", {"position": [0.5, 0.0, 0.225], "quat": down}),
+            ("grasp", {"force": 15.0}),
+            ("move_l", {"position": [0.5, 0.0, 0.4], "quat": down}),
+            ("move_to", {"position": [0.4, 0.2, 0.35], "quat": down}),
+        ):
+            answer = client.call(tool, arguments)
+            assert not answer.is_error, (tool, answer.content[0].text)
+        assert client.state()["gripper"]["held"] == "cube"
+        refused = client.call("move_to", {"position": [0.5, 0.0, 0.21], "quat": down})
+        assert refused.is_error
+        assert "cube" in refused.content[0].text  # what is held is part of the proof
+        seen = client.call("look").structured_content
+        assert seen is not None
+        [cube] = [body for body in seen["bodies"] if body["name"] == "cube"]
+        assert np.linalg.norm(np.array(cube["position"]) - [0.4, 0.2, 0.35]) < 0.01
+    arm = armctl.load("panda", scene=scene)
+    for path in sorted(record.glob("*.npz")):
+        pairs = touched(arm, armctl.Log.load(path))
+        assert all("cube" in pair and any("finger" in body for body in pair) for pair in pairs), pairs
