@@ -297,6 +297,7 @@ def _least(command: str) -> list[str]:
         "identify": ["panda", "run.csv"],
         "simulate": ["panda", "--ctrl", "0"],
         "robot": ["check", "host"],
+        "ros2": ["serve", "panda"],
     }
     return [command, *words.get(command, ["panda", "pd"] if command == "tune" else ["panda"])]
 

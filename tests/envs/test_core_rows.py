@@ -39,7 +39,8 @@ def remade(rows: BatchSimulation, **changes: object) -> _core.EnvironmentBatch:
     original = _core.EnvironmentBatch
     _core.EnvironmentBatch = record
     try:
-        rows._compiled_batch(_core.PD(stiffness=np.ones(3), damping=np.ones(3)), 2)
+        law = _core.PD(stiffness=np.ones(3), damping=np.ones(3))
+        rows._compiled_batch(law, 2, rows.mode.kind, rows.action, rows.ticks)
     finally:
         _core.EnvironmentBatch = original
     return _core.EnvironmentBatch(mujoco_api(), **(made | changes))
