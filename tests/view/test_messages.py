@@ -157,8 +157,8 @@ def test_a_wrong_pose_of_the_target_is_dropped(page, client, pose: dict):
 def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, client):
     message = {"name": "/scene0/arm0/goal", "wxyz": [1, 0, 0, 0], "position": [1e300, 0, 0], "owner": ""}
     client.send({"type": "TransformControlsUpdateMessage"} | message)
+    until(lambda: page.session.status.target.position[0] == MAX_COORDINATE_M, "it is not limited")
     until(lambda: page.session.status.activity is Activity.OUT_OF_REACH, "it is not called out of reach")
-    assert page.session.status.target.position[0] == MAX_COORDINATE_M
     until(lambda: 'click "undo" under "Target"' in page.scene.text.content, "no remedy is named")
     follows(page, client)
     until(lambda: "undo" not in page.scene.text.content, "the remedy stays")
