@@ -24,15 +24,25 @@ _OTHER_NAMES = {
 # Names that armctl had: what to write instead.
 _FORMER_NAMES = {
     "load_arms": "armctl.load(robot, tips=[...]), which returns one arm with several tips",
-    "Scene": "armctl.World().add(name, armctl.Box(size), at), which load(scene=...) takes, as it does a file",
     "Team": "armctl.Simulation(arm) with an arm of several tips, which takes targets by tip",
 }
+
+# Packages that are imported by themselves, for they need extras.
+_PACKAGES = ("envs", "jax")
 
 _public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
+        if name == "Scene":
+            from armctl.model.collision.former_scene import Scene
+
+            return Scene
+        if name in _PACKAGES:
+            raise AttributeError(
+                f"armctl has no attribute {name!r} before it is imported; write: import armctl.{name}", name=name
+            )
         if name in _FORMER_NAMES:
             raise AttributeError(f"armctl has no attribute {name!r}; use {_FORMER_NAMES[name]}", name=name)
         near = _OTHER_NAMES.get(name) or ", ".join(

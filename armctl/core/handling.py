@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,8 +41,32 @@ class Grasp:
         return f"{side}, {1e3 * self.width:.3g} mm wide"
 
 
+class _Handled(Verdict):
+    """What the results of `pick` and `place` have in common."""
+
+    body: str
+    grip: GripResult | None
+    moves: tuple[MoveResult, ...]
+
+    @property
+    def duration(self) -> float:
+        """How long the moves and the gripper took, s."""
+        return sum(move.duration for move in self.moves) + (0.0 if self.grip is None else self.grip.duration)
+
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """What the arm touched besides the body."""
+        contacts = (contact for move in self.moves for contact in move.contacts)
+        others = (each.other for each in contacts if self.body not in (each.body, each.other))
+        return tuple(dict.fromkeys(others))
+
+    def _done(self) -> str:
+        """How long it took, and what was touched."""
+        return f"in {self.duration:.2f} s" + (f"; touched {', '.join(self.touched)}" if self.touched else "")
+
+
 @dataclass(frozen=True, eq=False)
-class PickResult(Verdict):
+class PickResult(_Handled):
     """The result of `pick`. `bool(result)` is `result.ok`.
 
     Attributes:
@@ -64,24 +87,14 @@ class PickResult(Verdict):
     grip: GripResult | None = None
     moves: tuple[MoveResult, ...] = ()
 
-    @property
-    def duration(self) -> float:
-        """How long the moves and the gripper took, s."""
-        return _duration(self.moves) + (0.0 if self.grip is None else self.grip.duration)
-
-    @property
-    def touched(self) -> tuple[str, ...]:
-        """What the arm touched besides the body."""
-        return _touched(self.moves, self.body)
-
     def __str__(self) -> str:
         if not self.ok:
             return f"{self.body} is not picked: {self.reason}"
-        return f"holds {self.body} {self.grasp}, picked in {self.duration:.2f} s{_touched_text(self.touched)}"
+        return f"holds {self.body} {self.grasp}, picked {self._done()}"
 
 
 @dataclass(frozen=True, eq=False)
-class PlaceResult(Verdict):
+class PlaceResult(_Handled):
     """The result of `place`. `bool(result)` is `result.ok`.
 
     Attributes:
@@ -104,31 +117,8 @@ class PlaceResult(Verdict):
     grip: GripResult | None = None
     moves: tuple[MoveResult, ...] = ()
 
-    @property
-    def duration(self) -> float:
-        """How long the moves and the gripper took, s."""
-        return _duration(self.moves) + (0.0 if self.grip is None else self.grip.duration)
-
-    @property
-    def touched(self) -> tuple[str, ...]:
-        """What the arm touched besides the body."""
-        return _touched(self.moves, self.body)
-
     def __str__(self) -> str:
         if not self.ok:
             return f"{self.body} is not placed: {self.reason}"
         within = "" if np.isnan(self.position_error) else f" within {1e3 * self.position_error:.2g} mm"
-        return f"placed {self.body}{within} in {self.duration:.2f} s{_touched_text(self.touched)}"
-
-
-def _duration(moves: Iterable[MoveResult]) -> float:
-    return sum(move.duration for move in moves)
-
-
-def _touched(moves: Iterable[MoveResult], body: str) -> tuple[str, ...]:
-    others = (contact.other for move in moves for contact in move.contacts if body not in (contact.body, contact.other))
-    return tuple(dict.fromkeys(others))
-
-
-def _touched_text(names: tuple[str, ...]) -> str:
-    return f"; touched {', '.join(names)}" if names else ""
+        return f"placed {self.body}{within} {self._done()}"

@@ -264,11 +264,11 @@ class World:
         return _pose(at)
 
 
-def checked_name(name: str) -> str:
+def checked_name(name: str, what: str = "name") -> str:
     """A name that is a text, and not empty."""
-    instance("name", name, str, "such as 'table'")
+    instance(what, name, str, "such as 'table'")
     if not name:
-        raise InputError(f"name: {shown(name)} is empty; give the body a name, such as 'table'")
+        raise InputError(f"{what}: {shown(name)} is empty; give the body a name, such as 'table'")
     return name
 
 

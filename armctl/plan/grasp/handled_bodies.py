@@ -27,7 +27,7 @@ def find_body(arm: Arm, data: mujoco.MjData, snapshot: WorldSnapshot | None, nam
     UnknownNameError if there is none; InputError if it is fixed, a part of the robot, or a cloud of points.
     """
     bodies = {} if snapshot is None else snapshot.bodies
-    if checked_name(name) in bodies and bodies[name].shape is not None:
+    if checked_name(name, "body") in bodies and bodies[name].shape is not None:
         return _of_world(bodies[name], T_world_tip)
     model = arm.model
     number = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
@@ -37,6 +37,10 @@ def find_body(arm: Arm, data: mujoco.MjData, snapshot: WorldSnapshot | None, nam
     if any(is_below(model, number, root) for root in robot_roots(model, arm.joint_map.joints)):
         raise InputError(f"body: {name:.60} is a part of the robot; only a loose body can be picked")
     if not is_loose(model, number):
+        if model.body_weldid[number]:
+            raise InputError(
+                f"body: {name:.60} moves on a joint of the scene, and only a loose body can be picked; gripper.grasp holds it"
+            )
         raise InputError(
             f"body: {name:.60} is fixed in the scene; give it a mass in armctl.World.add, or a free joint in its file"
         )

@@ -20,6 +20,7 @@ from armctl.core.validation import Array, IntArray, frozen, shown
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.mjmodel.queries import last_joint_above
 from armctl.plan.ik.problem import read_target
+from armctl.plan.ik.region import Region
 
 _WORLD = -1
 _NO_ROTATION = np.zeros(9)
@@ -125,7 +126,7 @@ def _read_task(arm: Arm, tip: str, target: TipTarget, free_axis: str | None) -> 
             raise UnknownNameError.from_known(f"tip of {arm.name:.60}", target.tip, arm.tips)
         constraint, numbers = read_target(target.target, free_axis if isinstance(target.target, Pose) else None)
         return TreeTask(tip, constraint, target.tip, points=False, exact=True, stays=False, numbers=numbers)
-    if isinstance(target, (str, Mapping)):
+    if isinstance(target, (str, Mapping, Region)):
         raise InputError(f"target: {shown(tip)}: expected a Pose, a point, STAY, RelativeTo or LookAt, got {shown(target)}")
     constraint, numbers = read_target(target, free_axis)
     return TreeTask(tip, constraint, None, points=False, exact=False, stays=False, numbers=numbers)

@@ -116,6 +116,8 @@ def move_l(
         _require_known("move_l", options)
         plan = partial(tip_lines, arm, targets=target, options=options)
         return planned_from(arm, q_start, plan, read_duration(options.get("duration")))
+    if isinstance(target, Region):
+        raise InputError("target: a Region has many poses, and a line one end; solve_ik(arm, region).member.pose is one")
     return _planned(arm, q_start, _Request("move_l", [Line(target)]), options)
 
 

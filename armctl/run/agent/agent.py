@@ -10,7 +10,7 @@ from threading import Lock
 
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.json_values import json_value
-from armctl.core.validation import instance
+from armctl.core.validation import shown
 from armctl.run.agent.answer import ToolAnswer
 from armctl.run.agent.tools import TOOLS, AgentTool, ArmTools
 from armctl.run.execution.commands import Commands
@@ -39,7 +39,8 @@ class Agent:
         Raises:
             InputError: A robot without a permission, or a folder that cannot be made.
         """
-        instance("robot", robot, Commands, 'armctl.Simulation("panda") is one')
+        if not isinstance(robot, Commands):
+            raise InputError(f'robot: expected a Simulation or a Robot, got {shown(robot)}; armctl.Simulation("panda") is one')
         if isinstance(robot, Robot) and permission is None:
             raise InputError("permission: an agent moves a robot only while a person lets it")
         self._tools = ArmTools(robot)

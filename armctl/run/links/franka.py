@@ -47,7 +47,6 @@ FR3_TORQUE = TorqueInterface(
     rate_max=1000.0,
     adds_gravity=True,
     adds_friction=True,
-    settle=(3e-3, 2e-2),  # friction on a simulated controller keeps PD 1.6 mm and 0.01 rad from a target
     source="libfranka, class Torques and rate_limiting.h",
 )
 

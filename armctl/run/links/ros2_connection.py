@@ -192,7 +192,7 @@ _BEHIND_RAD = 0.25  # of where it should be, for so long: a joint that is blocke
 _BEHIND_S = 0.3
 _ASKED_RAD = 0.02  # of a motion, of which so small a share for so long means that nobody plays it
 _MOVED_SHARE = 0.1
-_UNMOVED_S = 1.0
+_UNMOVED_S = 0.5
 
 
 class FollowingCheck:

@@ -402,6 +402,14 @@ def test_a_world_is_a_scene_of_a_simulation(tmp_path):
 
 
 def test_names_of_other_libraries_are_answered_with_a_hint():
+    with pytest.warns(DeprecationWarning, match=r"armctl.Scene goes with version 0.2; use armctl.World\(\)"):
+        former = armctl.Scene()
+    former.add_box("a", [1.0, 1.0, 1.0], [0.0, 0.0, 0.5]).add_ball("b", 0.1, [0, 0, 0]).add_cylinder(
+        "c", 0.1, 1.0, [0, 0, 1], 2
+    )
+    assert isinstance(former, World)
+    assert former["a"].shape.size.tolist() == [1.0, 1.0, 1.0]
+    assert (former["b"].shape.radius, former["c"].shape.length, former["c"].mass) == (0.1, 1.0, 2.0)
     with pytest.raises(AttributeError, match=r"World has no attribute 'add_box'; use world.add.name, armctl.Box.size., at"):
         World().add_box("a", [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])
 

