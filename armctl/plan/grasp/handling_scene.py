@@ -126,6 +126,23 @@ class HandlingScene:
         center = T_tip_body.transform(self.body.center)
         return self.arm.with_payload(mass=self.body.mass, center=center, inertia=R @ self.body.inertia @ R.T)
 
+    def too_heavy(self, q: Array, T_tip_body: Pose) -> str:
+        """Which joint cannot hold the body at the tip at q (n,), with its torque; empty if all can."""
+        arm = self.arm
+        weight = -(self.body.mass or 0.0) * arm.model.opt.gravity
+        arm_of_force = arm.fk(q).rotation @ T_tip_body.transform(self.body.center)
+        wrench = np.concatenate([weight, np.cross(arm_of_force, weight)])  # that the motors have to hold at the tip
+        needed = arm.gravity(q) + arm.jacobian(q).T @ wrench
+        shares = np.abs(needed) / arm.limits.tau_max
+        i = int(shares.argmax())
+        if shares[i] <= 1.0:
+            return ""
+        unit = arm.torque_units[i]
+        return (
+            f"{arm.joint_names[i]} would need {abs(needed[i]):.3g} {unit} to hold the body, and its limit is "
+            f"{arm.limits.tau_max[i]:.3g} {unit}"
+        )
+
     def _is_of_body(self, checker: CollisionChecker, pair: int) -> bool:
         return not self.body.members.isdisjoint(checker.names(pair))
 

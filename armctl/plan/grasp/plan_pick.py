@@ -94,6 +94,11 @@ class _PickAttempt(NamedTuple):
         """The motions of a grasp at a configuration; None, and a failure more, if one of them cannot be made."""
         scene = self.scene
         arm = scene.arm
+        T_tip_body = grasp.tip.inverse() @ scene.body.pose
+        too_heavy = scene.too_heavy(reached.q, T_tip_body)
+        if too_heavy:
+            self.failures.add_line(too_heavy)
+            return None
         back = longest_line(
             arm, reached.q, grasp.tip, -self.ways.approach * grasp.pointing, self.ways.speed, self.guarded, self.failures
         )
@@ -106,7 +111,6 @@ class _PickAttempt(NamedTuple):
         if obstruction:
             self.failures.add_obstruction(obstruction)
             return None
-        T_tip_body = grasp.tip.inverse() @ scene.body.pose
         carried = scene.carried(approach.end, grasp.width, T_tip_body)
         support = scene.near_body(carried, approach.end, SUPPORT_GAP_M)
         held = scene.guarded(carried, support, carried=True)

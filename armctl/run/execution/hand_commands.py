@@ -118,6 +118,8 @@ class HandCommands(Commands):
         self._forget_lost()
         frames = self._grip_frames(hand.model)
         narrowest = least_width(found.parts)
+        if not np.isfinite(narrowest):
+            raise InputError(f"body: {body:.60} has no two opposite sides that pads can press on; pick one that has")
         if narrowest > frames.width_max - 2.0 * MIN_FINGER_GAP_M:
             raise InputError(
                 f"body: {body:.60} is {1e3 * narrowest:.3g} mm wide where it is narrowest, "

@@ -18,6 +18,8 @@ def scene() -> armctl.World:
         .add("brick", armctl.Box([0.1, 0.04, 0.05]), armctl.Pose([0.1, 0.1, TOP + 0.025], rpy=[0, 0, 0.4]), mass=0.1)
         .add("crate", armctl.Box([0.12, 0.13, 0.14]), [-0.25, 0.25, TOP + 0.07], mass=0.2)
         .add("far", armctl.Box([0.04] * 3), [1.5, 0, 0.02], mass=0.1)
+        .add("heavy", armctl.Box([0.04] * 3), [-0.1, 0.0, TOP + 0.02], mass=30.0)
+        .add("pyramid", armctl.Mesh(0.05 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])), [0.3, 0.3, TOP], mass=0.1)
         .add("post", armctl.Box([0.04, 0.04, 0.1]), [0.3, -0.3, TOP + 0.05])
         .add("cornered", armctl.Box([0.04] * 3), [-0.25, -0.25, TOP + 0.02], mass=0.1)
         .add("west", armctl.Box([0.01, 0.2, 0.12]), [-0.276, -0.25, TOP + 0.06])
@@ -95,6 +97,7 @@ def test_a_carried_body_is_a_payload_of_plans_and_a_part_of_proofs(gantry: armct
         ("cub", armctl.UnknownNameError, "cub"),
         ("post", armctl.InputError, "post is fixed"),
         ("hand", armctl.InputError, "part of the robot"),
+        ("pyramid", armctl.InputError, "pyramid has no two opposite sides that pads can press on"),
         ("crate", armctl.InputError, "crate is 120 mm wide where it is narrowest, and the gripper opens 80 mm"),
     ],
 )
@@ -105,7 +108,10 @@ def test_a_body_that_cannot_be_picked_is_refused_in_one_sentence(
         armctl.Simulation(gantry).pick(body)
 
 
-@pytest.mark.parametrize(("body", "words"), [("far", "out of reach"), ("cornered", "touches")])
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [("far", "out of reach"), ("cornered", "touches"), ("heavy", "N to hold the body, and its limit is 200 N")],
+)
 def test_what_no_grasp_reaches_is_a_result_with_the_reason(gantry: armctl.Arm, body: str, words: str):
     sim = armctl.Simulation(gantry)
     result = sim.pick(body)
