@@ -10,6 +10,7 @@ from armctl.core.log import Log
 from armctl.core.validation import Array, instance, number
 from armctl.model.arm.arm import Arm
 from armctl.plan.motion.checks import planning_arm
+from armctl.plan.motion.timing.end_limits import slowed_into
 from armctl.plan.motion.torque_limits import within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.limit_check import stretch_needed
@@ -53,7 +54,7 @@ def move_back(arm: Arm, log: Log, start: ArrayLike, speed: float = 1.0) -> Joint
     pieces = hermite(times, spline(times), spline(times, 1), spline(times, 2))
     limits = planning.limits
     stretch = stretch_needed(pieces, (limits.v_max, limits.a_max, limits.j_max))
-    pieces = time_scaled(pieces, speed * min(1.0, 1.0 / stretch))
+    pieces = slowed_into(time_scaled(pieces, speed * min(1.0, 1.0 / stretch)), limits)
     return within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units))
 
 

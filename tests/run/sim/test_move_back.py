@@ -1,5 +1,6 @@
 """Commands.move_back and Commands.gate: the way of a run back, and a gate that looks at the simulation."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,23 @@ def test_a_second_call_goes_forward_again_and_half_the_speed_takes_twice_as_long
     assert sim.move_back(speed=0.5)
     assert np.abs(sim.state.q - goal).max() < 1e-4
     assert sim.log.motion_duration == pytest.approx(2 * once, rel=0.02)
+
+
+def test_the_way_back_keeps_the_velocity_limits_near_the_ends_of_the_ranges():
+    arm = arm_of(BUNDLED)
+    limits = replace(arm.limits, deceleration_limit=0.3 * arm.limits.a_max)
+    arm = arm.with_limits(limits)
+    sim = armctl.Simulation(arm)
+    near = arm.home.copy()
+    near[0] = limits.q_max[0] - 0.02
+    sim.reset(near)
+    out = sim.move_j(arm.home, avoid=False)  # away from the end, where no velocity is limited
+    assert out, out.reason
+    assert sim.move_back()
+    low, high = limits.velocity_bounds(sim.log.q_ref)
+    assert (sim.log.v_ref <= high * (1 + 1e-6) + 1e-9).all()
+    assert (sim.log.v_ref >= low * (1 + 1e-6) - 1e-9).all()
+    assert sim.log.motion_duration > 1.1 * out.log.motion_duration
 
 
 def test_the_way_back_is_proved_in_the_world_as_it_is_now():
