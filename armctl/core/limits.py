@@ -191,11 +191,12 @@ class Limits:
         """The greatest velocity, acceleration and jerk in either direction, each (n,)."""
         return frozen(np.maximum(self.v_max, -self.v_low)), frozen(np.maximum(self.a_max, -self.a_low)), self.j_max
 
-    def velocity_bounds(self, q: ArrayLike) -> tuple[Array, Array]:
+    def velocity_bounds(self, q: ArrayLike, dt: float = 0.0) -> tuple[Array, Array]:
         """The velocities that are allowed at positions, which may be outside [q_min, q_max].
 
         Args:
             q: (n,) or (T, n) rad.
+            dt: s, for how long a velocity is held, and is allowed until then.
 
         Returns:
             The lowest and the highest ones, each of the same shape, rad/s.
@@ -209,12 +210,23 @@ class Limits:
         if not self.depends_on_position:
             return low, high
         with np.errstate(invalid="ignore"):  # infinity of a joint without limits
-            up = np.sqrt(2.0 * self.deceleration_limit * np.maximum(self.q_max - q, 0.0)) - self.velocity_offset
-            down = np.sqrt(2.0 * self.deceleration_limit * np.maximum(q - self.q_min, 0.0)) - self.velocity_offset
+            up = self._fastest_towards(np.maximum(self.q_max - q, 0.0), dt)
+            down = self._fastest_towards(np.maximum(q - self.q_min, 0.0), dt)
         is_limited = np.isfinite(self.deceleration_limit)
         up = np.where(is_limited, np.maximum(up, 0.0), np.inf)
         down = np.where(is_limited, np.maximum(down, 0.0), np.inf)
         return np.maximum(low, -down), np.minimum(high, up)
+
+    def _fastest_towards(self, distance: Array, dt: float) -> Array:
+        """The velocities towards an end at a distance from it that may be held for dt; less than 0 where none is allowed.
+
+        (v + offset)^2 <= 2 deceleration_limit (distance - v dt) is solved for v.
+        """
+        squared = 2.0 * self.deceleration_limit * distance
+        if dt == 0.0:
+            return np.sqrt(squared) - self.velocity_offset
+        half = self.velocity_offset + self.deceleration_limit * dt
+        return np.sqrt(np.maximum(half**2 - self.velocity_offset**2 + squared, 0.0)) - half
 
     @cached_property
     def end_zones(self) -> Array:

@@ -89,12 +89,14 @@ class TargetProgram:
         # Not mink's ConfigurationLimit and VelocityLimit: from outside the joint limits their program has no solution.
         limits = self._arm.limits
         rounding = POSITION_ROUNDING * (1 + np.abs(q))
-        longest = limits.v_max * dt * (1 - VELOCITY_ROUNDING)
+        slowest, fastest = limits.velocity_bounds(q, dt)
+        back = slowest * dt * (1 - VELOCITY_ROUNDING)
+        ahead = fastest * dt * (1 - VELOCITY_ROUNDING)
         low = limits.q_min - q
         high = limits.q_max - q
         low = np.minimum(low + rounding, np.maximum(0.0, low))
         high = np.maximum(high - rounding, np.minimum(0.0, high))
-        return np.minimum(np.maximum(low, -longest), longest), np.minimum(np.maximum(high, -longest), longest)
+        return np.minimum(np.maximum(low, back), ahead), np.minimum(np.maximum(high, back), ahead)
 
     def _solve(self, q: Array, low: Array, high: Array, dt: float) -> Array:
         program = self._program(low, high, dt)

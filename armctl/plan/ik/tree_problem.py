@@ -75,8 +75,8 @@ class TreeTasks:
             fixed=tree.fixed,
             q_min=arm.limits.q_min,
             q_max=arm.limits.q_max,
-            v_max=arm.limits.v_max,
-            a_max=arm.limits.a_max,
+            v_max=arm.limits.symmetric.v_max,
+            a_max=arm.limits.symmetric.a_max,
         )
 
     def targets(self, q: Array) -> Array:

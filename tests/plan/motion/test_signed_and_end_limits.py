@@ -271,3 +271,27 @@ def test_motions_from_a_moving_start_keep_the_limits():
     assert excess_of(limits, armctl.move_j(arm, start, free().home, straight=False)) < 2e-6
     point = free().fk(start.q).position + np.array([0.0, 0.03, 0.03])
     assert excess_of(limits, armctl.move_l(arm, start, point)) < 2e-6
+
+
+def excess_of_steps(arm: armctl.Arm, limits: Limits) -> float:
+    """By how much the velocities of DifferentialIk are beyond limits, at both ends of each step, as a share."""
+    ik = armctl.DifferentialIk(arm)
+    rng = np.random.default_rng(1)
+    q = arm.home.copy()
+    worst = -np.inf
+    for _ in range(8):
+        target = arm.fk(near_ends(rng)).position
+        for _ in range(150):
+            v = ik.step(q, target, 0.004)
+            for at in (q, q + 0.004 * v):
+                low, high = bounds_at(limits, at)
+                worst = max(worst, np.max(np.maximum(v - high, low - v) * (v != 0.0) / limits.v_max))
+            q = q + 0.004 * v
+    return worst
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_steps_of_differential_ik_keep_the_limits_until_their_end(kind: str):
+    limits = limits_of(kind)
+    assert excess_of_steps(free().with_limits(limits), limits) < 1e-9
+    assert excess_of_steps(free(), limits) > 0.1
