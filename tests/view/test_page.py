@@ -64,6 +64,7 @@ def tab(browser, page: Page):
 
 def opened(browser, url: str):
     tab = browser.new_context(viewport={"width": 640, "height": 420}).new_page()
+    tab.set_default_timeout(1e3 * TIMEOUT_S)
     tab.goto(url)
     tab.get_by_text("times real time").wait_for(timeout=1e3 * TIMEOUT_S)
     # viser's notice of software rendering lies over the scene and would take the clicks that are meant for the target
@@ -210,6 +211,7 @@ def test_a_typed_target_is_reached_and_an_impossible_one_refused_in_millimetres(
 
 
 def test_switching_the_controller_and_the_payload_shows_in_the_error_plot(page: Page, tab):
+    tab.get_by_role("button", name="reset", exact=True).click()
     arrives(page)
 
     def error() -> float:

@@ -28,6 +28,7 @@ from armctl.run.links.robot_mirror import RobotMirror
 
 _AHEAD_S = 0.05  # before its chunk of a moving reference is over, `run` returns, so that the next one can be planned
 _AHEAD_TICKS = 8  # at least, where ticks are slow
+_LONGEST_GAP_S = 0.01  # between readings, half of the time constant of an observer of contacts
 _STOPPED = "the arm was stopped on its path"
 
 
@@ -279,6 +280,9 @@ class LinkDrive:
         for k, tick in enumerate(readings.tick.astype(int)):
             dt = self.dt * max(1, tick - stream.monitored)
             stream.monitored = tick
+            if dt > max(_LONGEST_GAP_S, 2 * self.dt):
+                reaction.force.reset()  # nobody knows the torques in between
+                dt = self.dt
             reaction.update(readings.t[k] - self._mirror.t0, readings.q[k], readings.v[k], readings.tau[k], dt)
         if reaction.contact:
             self.time_at_contact = self.dt * max(0, stream.monitored - stream.start)

@@ -82,6 +82,17 @@ def test_without_a_contact_the_same_rows_are_sent():
     assert np.array_equal(logs[0].q_ref, logs[1].q_ref)
 
 
+@pytest.mark.parametrize("row", [120, 200, 280])
+def test_ticks_that_are_lost_are_no_contact(row):
+    arm = arm_of("robot_arm_3dof")
+    link = armctl.links.PlantLink(arm, armctl.Plant(encoder_noise=1e-6, seed=2), lost={row: 100})
+    with armctl.Robot(arm, link, speed=0.5, tip_speed=1.0) as robot:
+        robot.reaction = armctl.ContactReaction(robot.arm)
+        moved = robot.move_j(arm.home + np.array([1.2, 0.3, -0.3]))
+        assert not robot.reaction.contact
+        assert moved, moved.reason
+
+
 def test_a_reaction_of_another_arm_is_refused_before_a_motion():
     robot = robot_of(None)
     another = armctl.ContactReaction(arm_of("planar"))
