@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _EXAMPLES = (
     "panda --target 0.5 0.2 0.4",
     "panda --target 0.5 0.2 0.4 3.14 0 0 --controller computed-torque-observer --out run",
+    "ur5e --plant payload=2+friction --controller pd-gravity",
     "ur5e --out reach.mp4",
     "aloha --target left/gripper 0 0.05 0.65 --target right/gripper stay",
 )
@@ -40,6 +41,7 @@ def add(commands: common.Commands) -> None:
     )
     parser.add_argument("--controller", default="computed-torque", help="one of those below (default %(default)s)")
     common.list_controllers(parser)
+    parser.add_argument("--plant", default="nominal", metavar="A+B", help=f"{common.PLANTS_HELP} (default %(default)s)")
     parser.add_argument("--video-speed", metavar="X", default="1", help="speed of the film; 0.5 is slow motion (default 1)")
     common.add_speed(parser)
     common.add_json(parser)
@@ -48,6 +50,7 @@ def add(commands: common.Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     speed = common.speed_from(args.speed)
+    from armctl.cli.plants import plant_by_name
     from armctl.core.units import length_text
     from armctl.core.validation import number
     from armctl.report.render import film_path
@@ -60,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
             film_path(path, "out")
     video_speed = number("video_speed", common.one_number("video_speed", args.video_speed), 0.01, 100.0)
     allow = [_pair(words) for words in args.allow]
-    simulation = Simulation(common.load_arm(args), args.controller)
+    arm = common.load_arm(args)
+    simulation = Simulation(arm, args.controller, plant_by_name(args.plant, arm))
     result = simulation.move_to(_targets(simulation, args.target), speed=speed, allow=allow)
     if result.log is None:
         common.print_result(args, str(result), None, result.reason)

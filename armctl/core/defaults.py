@@ -12,6 +12,7 @@ RESTING_S = 0.5  # a joint that moves by less than that speed allows in this tim
 DEFAULT_GRIP_FORCE = 10.0  # N
 CONFIDENCE = 0.95  # of intervals
 FINDING_ERRORS = 3.0  # standard errors, from which a difference is a finding
+TIMESTEPS_S = (1e-6, 0.1)  # of a model or a plant
 MAX_FILE_VALUE = 1e9  # in SI units: a larger number in a file is damaged
 
 PICTURE_ENDINGS = (".png", ".svg", ".pdf")

@@ -503,6 +503,17 @@ def test_half_the_speed_takes_twice_as_long(capsys):
     assert times[1] == pytest.approx(2 * times[0], abs=0.01)
 
 
+def test_reach_moves_an_arm_that_differs_from_its_model(capsys):
+    reached, exact, _ = run(capsys, "reach", BUNDLED, "--controller", "pd-gravity", "--json")
+    missed, loaded, _ = run(capsys, "reach", BUNDLED, "--controller", "pd-gravity", "--plant", "payload=2", "--json")
+    assert (reached, missed) == (0, 1)
+    assert json.loads(loaded)["result"]["tip_rms_m"] > 2 * json.loads(exact)["result"]["tip_rms_m"]
+    assert json.loads(loaded)["result"]["plant"] == "payload 2 kg"
+    status, _, err = run(capsys, "reach", BUNDLED, "--plant", "paylod=2")
+    assert status == 2
+    assert "unknown plant 'paylod'; did you mean 'payload'?" in err
+
+
 def test_reach_takes_a_speed(capsys):
     durations = []
     for speed in ("1", "0.5"):

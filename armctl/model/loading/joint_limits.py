@@ -206,13 +206,18 @@ def default_speed(model: mujoco.MjModel, joint: int) -> float:
 
 
 def default_speeds(model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> Array:
-    """(n,) the default speed of each joint: no joint that follows it exceeds its own default."""
-    return np.array(
-        [
-            min(default_speed(model, joint) / abs(mimic.ratio) for joint, mimic in transmission.coupled.items())
-            for transmission in transmissions
-        ]
-    )
+    """(n,) the default speed of each joint: no joint that follows it exceeds its own default, but for rotors behind gears.
+
+    A rotor is a joint without a range, coupled to one that has a range and is slower.
+    """
+    speeds = []
+    for transmission in transmissions:
+        coupled = transmission.coupled
+        ranged = [joint for joint in coupled if model.jnt_limited[joint]]
+        slowest = min((abs(coupled[joint].ratio) for joint in ranged), default=np.inf)
+        counted = [joint for joint in coupled if joint in ranged or abs(coupled[joint].ratio) <= slowest]
+        speeds.append(min(default_speed(model, joint) / abs(coupled[joint].ratio) for joint in counted))
+    return np.array(speeds)
 
 
 def _torque_ranges(

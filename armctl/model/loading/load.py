@@ -7,6 +7,7 @@ transmissions are analysed once, in the first stage, and passed on.
 from __future__ import annotations
 
 import contextlib
+import copy
 import os
 import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -16,10 +17,11 @@ from typing import Any, NamedTuple
 
 import mujoco
 
+from armctl.core.defaults import TIMESTEPS_S
 from armctl.core.errors import ArmctlWarning, InputError, MissingShapeWarning, ModelError, few_names
 from armctl.core.note import Note, Severity
 from armctl.core.pose import Pose
-from armctl.core.validation import instance, shown
+from armctl.core.validation import instance, number, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.arm.parity import check_parity
 from armctl.model.loading.added_shapes import CAPSULES, VISUAL, add_shapes, read_shapes, visual_links
@@ -93,6 +95,7 @@ class _LoadRecipe:
     scene: SceneParts | None  # what is around it
     srdf: str | os.PathLike[str] | None  # as for `load`
     shapes: str | None = None  # as for `load`
+    timestep: float | None = None  # as for `load`
     is_complete: bool = True  # false in another process for the arm of a specification, which does not go along
 
     def __getstate__(self) -> dict[str, Any]:
@@ -110,6 +113,8 @@ class _LoadRecipe:
         source = locate(self.robot)
         robot = _read(source, self.moving_base, self.srdf, visual=self.shapes == VISUAL)
         spec = robot.spec
+        if self.timestep is not None:
+            spec.option.timestep = self.timestep
         ends = robot.resolved(self.ends)
         unread = robot.unread
         notes = list(robot.notes)
@@ -124,6 +129,10 @@ class _LoadRecipe:
             notes += mounted.notes
         if self.scene is not None:
             self.scene.build(spec)
+            if self.timestep is not None and spec.option.timestep != self.timestep:
+                raise InputError(
+                    f"timestep: {self.timestep:g} s; in a scene with loose bodies it is at most {spec.option.timestep:g} s"
+                )
         original = source.compile_without_textures(spec)
         with _naming(source.name):
             check_timestep(original)
@@ -162,6 +171,7 @@ def load(
     scene: SceneLike | None = None,
     srdf: str | os.PathLike[str] | None = None,
     shapes: str | None = None,
+    timestep: float | None = None,
 ) -> Arm:
     """An arm: any serial chain of any robot, or several that move together, its actuators turned into torque motors.
 
@@ -190,6 +200,7 @@ def load(
         shapes: What stands for the collision shape of links that need one and have none: "capsules" along them, or "visual",
             the geoms that the file draws them with. Left out, contacts of such an arm cannot be checked: no motion of it is
             proved, and `arm.unchecked_links` names the links.
+        timestep: s, of the model: the tick of simulations, controllers and logs; left out, that of the file.
 
     Raises:
         InputError: An argument has a wrong type, or the names of the scene are taken.
@@ -212,7 +223,8 @@ def load(
     moving_base = base if isinstance(base, str) and base in BASE_JOINTS else None
     named = None if moving_base else base
     ends = ArmEnds(tip=tip, base=named, tip_offset=tip_offset, further_tips=further_tips, moving_base=moving_base)
-    return _loaded(robot, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes)
+    dt = None if timestep is None else number("timestep", timestep, *TIMESTEPS_S)
+    return _loaded(robot, ends, moving_base=moving_base, tool=tool, scene=scene, srdf=srdf, shapes=shapes, timestep=dt)
 
 
 def _names(what: str, names: Sequence[str]) -> list[str]:
@@ -252,6 +264,7 @@ def _loaded(
     scene: SceneLike | None,
     srdf: str | os.PathLike[str] | None,
     shapes: str | None,
+    timestep: float | None,
 ) -> Arm:
     """The arm with these ends. A specification is copied, since a caller can change it later."""
     shapes = read_shapes(shapes)
@@ -263,6 +276,9 @@ def _loaded(
                     f"{what}: a compiled MjModel cannot be changed in this way; pass the MjSpec or the path of the file"
                 )
         model, corrections = corrected_model(robot)
+        if timestep is not None:
+            model = copy.copy(model)
+            model.opt.timestep = timestep
         source = Source(model.names[: model.names.index(b"\0")].decode(errors="replace") or "model", None)
         with _naming(source.name):
             check_timestep(model)
@@ -275,7 +291,9 @@ def _loaded(
         return _checked_arm(source.name, prepared, [*corrections, *model_notes(model)], None)
     kept = locate(robot).copied_spec() if isinstance(robot, mujoco.MjSpec) else robot
     parts = None if scene is None else read_scene(scene)
-    recipe = _LoadRecipe(kept, ends, moving_base=moving_base, tool=tool, scene=parts, srdf=srdf, shapes=shapes)
+    recipe = _LoadRecipe(
+        kept, ends, moving_base=moving_base, tool=tool, scene=parts, srdf=srdf, shapes=shapes, timestep=timestep
+    )
     return _checked_arm(*recipe.prepared(), recipe)
 
 

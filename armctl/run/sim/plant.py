@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.core.defaults import TIMESTEPS_S
 from armctl.core.errors import InputError
 from armctl.core.faces import face, show_arguments
 from armctl.core.other_names import check_keywords
@@ -199,7 +200,9 @@ class Plant:
         Kind.OTHER, None, phrase="joint torque by {}", disturbs_signals=True, is_factor=False
     )
     continuous: bool = plant_attribute(Kind.FLAG, False, phrase="continuous")
-    timestep: float | None = plant_attribute(Kind.NUMBER, None, unit="s", low=1e-6, high=0.1, phrase="tick {} ms", scale=1e3)
+    timestep: float | None = plant_attribute(
+        Kind.NUMBER, None, unit="s", low=TIMESTEPS_S[0], high=TIMESTEPS_S[1], phrase="tick {} ms", scale=1e3
+    )
     seed: int = plant_attribute(
         Kind.WHOLE_NUMBER,
         0,

@@ -194,3 +194,24 @@ def test_a_specification_that_does_not_compile_is_one_sentence():
     with pytest.raises(armctl.ModelError, match=re.escape("trap: MuJoCo cannot compile it: Error: ")) as caught:
         armctl.load(spec)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("given", ["a file", "an MjSpec", "an MjModel"])
+def test_a_time_step_is_the_tick_of_everything_that_runs_the_arm(given: str, tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(MODELS["motors"])
+    spec = mujoco.MjSpec.from_file(str(path))
+    robot = {"a file": path, "an MjSpec": spec, "an MjModel": spec.compile()}[given]
+    arm = loaded(robot, timestep=0.0005)
+    assert arm.dt == armctl.Simulation(arm).dt == arm.with_payload(0.1).dt == 0.0005
+    assert (robot.opt if given == "an MjModel" else spec.option).timestep == 0.002
+    assert loaded(robot).dt == 0.002
+    with pytest.raises(armctl.InputError, match=r"timestep: expected a number in \[1e-06, 0.1\], got 0"):
+        armctl.load(robot, timestep=0.0)
+
+
+def test_a_time_step_that_loose_bodies_do_not_bear_is_refused():
+    world = armctl.World().add("cube", armctl.Box([0.05, 0.05, 0.05]), [0.4, 0.0, 0.03], mass=0.1)
+    with pytest.raises(armctl.InputError, match=r"timestep: 0.002 s; in a scene with loose bodies it is at most 0.001 s"):
+        armctl.load(BUNDLED, scene=world, timestep=0.002)
+    assert armctl.load(BUNDLED, scene=world, timestep=0.0005).dt == 0.0005

@@ -252,6 +252,30 @@ def test_further_tasks_limits_and_constraints_pass_through():
     assert np.abs(held.step(arm.home, beside(arm, arm.home, [0.0, 0.01, 0.0]), 1.0)).max() < 0.1 * free
 
 
+@every_arm
+def test_a_target_by_tip_keeps_the_acceleration_limits_of_an_arm_with_one_tip(name: str):
+    arm = arm_of(name)
+    target = arm.fk(arm.limits.clamp(arm.home + np.where(arm.pinocchio_model.is_slide, 0.05, 0.2)))
+    target = target if arm.n >= 5 else target.position
+    ik = DifferentialIk(arm)
+    q, before = arm.home, np.zeros(arm.n)
+    for _ in range(1500):
+        v = ik.step(q, {arm.tip: target}, DT)
+        assert (np.abs(v - before) <= arm.limits.a_max * DT * (1 + 1e-9)).all()
+        q, before = q + DT * v, v
+    assert np.linalg.norm(arm.fk(q).position - getattr(target, "position", target)) < 1e-4
+
+
+def test_a_damping_task_of_mink_slows_the_joints_down():
+    arm = arm_of("iiwa14")
+    target = beside(arm, arm.home, [0.0, 0.01, 0.0])
+    speeds = []
+    for cost in (0.0, 0.1, 1.0):
+        ik = DifferentialIk(arm, tasks=[mink.DampingTask(arm.model, cost=cost)])
+        speeds.append(np.linalg.norm(ik.step(arm.home, target, 0.1)))
+    assert speeds[0] > speeds[1] > speeds[2] > 0.0
+
+
 class Impossible(mink.Limit):
     """Asks that all joints move both ways at once."""
 

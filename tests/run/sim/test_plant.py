@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from arms import arm_of
 from motions import Still
+from synthetic import mjcf, motors
 
 import armctl
 
@@ -280,6 +281,19 @@ def test_a_joint_torque_of_the_plant_acts_like_the_friction_that_it_describes(bu
     function = positions(joint_torque=lambda q, v, t: -0.5 * v)
     assert np.abs(attribute - without).max() > 5e-4
     assert np.abs(function - attribute).max() < 0.02 * np.abs(attribute - without).max()
+
+
+@pytest.mark.parametrize(("torque", "friction"), [(1.9, 1.9), (3.0, 2.0), (-0.9, -0.9), (-3.0, -1.0)])
+def test_a_constant_joint_torque_gives_coulomb_friction_another_value_in_each_direction(torque: float, friction: float):
+    """2 N m forwards and 1 N m backwards; a smaller torque does not move the joint."""
+    wheel = (
+        '<body name="wheel"><joint name="a" axis="0 0 1" range="-1 1"/><geom type="cylinder" size="0.2 0.05" mass="50"/></body>'
+    )
+    arm = armctl.load(mujoco.MjSpec.from_string(mjcf(wheel, motors("a"))))
+    plant = armctl.Plant(timestep=0.0005, coulomb_friction=(2.0 + 1.0) / 2, joint_torque=lambda q, v, t: [-(2.0 - 1.0) / 2])
+    log = armctl.simulate(arm, Holding(arm, np.array([torque])), Still(arm.home, 0.1), plant, dwell=0.0)
+    moved = 0.5 * (torque - friction) / arm.mass_matrix(arm.home)[0, 0] * log.t[-1] ** 2
+    assert log.q[-1, 0] - log.q[0, 0] == pytest.approx(moved, rel=0.02, abs=2e-4)
 
 
 def test_a_joint_torque_gets_true_states_and_acts_on_its_plant_only(bundled):
