@@ -47,6 +47,8 @@ from .core.log import LogSource as LogSource
 from .core.log import LogTorques as LogTorques
 from .core.log import SimulationError as SimulationError
 from .core.pose import Pose as Pose
+from .core.region import Region as Region
+from .core.region import RegionPart as RegionPart
 from .core.result import GripResult as GripResult
 from .core.result import MoveResult as MoveResult
 from .core.shapes import Ball as Ball
@@ -130,8 +132,6 @@ from .plan.ik.ik_result import IkBatch as IkBatch
 from .plan.ik.ik_result import IkResult as IkResult
 from .plan.ik.reachability import Reachability as Reachability
 from .plan.ik.reachability import reachability as reachability
-from .plan.ik.region import Region as Region
-from .plan.ik.region import RegionPart as RegionPart
 from .plan.ik.solve import solve_ik as solve_ik
 from .plan.ik.solve_batch import solve_ik_batch as solve_ik_batch
 from .plan.motion.input_shaping import shape_motion as shape_motion

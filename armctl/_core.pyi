@@ -213,7 +213,7 @@ class Hit:
     @property
     def pair(self) -> int:
         """
-        Its row; the number of pairs says that the kept axis tilts, the next that loops do not close.
+        Its row; the number of pairs says that the tip leaves its region, the next that loops do not close.
         """
 
     @property
@@ -243,13 +243,13 @@ class ClearanceProof:
     """
 
     def __init__(self, scene: CollisionScene) -> None: ...
-    def keep_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> None:
+    def keep_region(self, q: numpy.ndarray, frame: int, tip: numpy.ndarray, region: numpy.ndarray) -> None:
         """
-        In the next proofs, the axis that moves with a frame and has a direction of the world (3,) at q (n,) may tilt by rad.
+        In the next proofs, the tip, which moves with a frame and has a pose (12,) at q (n,), stays in a region (38,).
         """
 
-    def release_axis(self) -> None:
-        """Lets all axes tilt."""
+    def release_region(self) -> None:
+        """Lets the tip go anywhere."""
 
     def set_motion(self, knots: numpy.ndarray, coefficients: numpy.ndarray) -> None:
         """
@@ -776,6 +776,11 @@ class ClosedForm:
 
 REGION_NUMBERS: int = 38
 
+def region_coordinates(region: numpy.ndarray, tips: numpy.ndarray, coordinates: numpy.ndarray) -> None:
+    """
+    Fills coordinates (K, 6) with x, y, z, roll, pitch and yaw of tips (K, 12) in a region (38,), or with x, y, z and the tilt.
+    """
+
 def nearest_members(region: numpy.ndarray, tips: numpy.ndarray, members: numpy.ndarray) -> None:
     """
     Fills members (K, 12) with the poses of a region (38,) that are nearest to the tips (K, 12).
@@ -1143,13 +1148,27 @@ class RrtConnect:
     ) -> None:
         """
         Trees from a start (n,) and goals (g, n) that are free, between bounds (n,), with at most `capacity` nodes each.
-        All lines keep more than the clearance, m, and the proof's kept axis.
+        All lines keep more than the clearance, m, and the tip in the proof's region.
         """
 
     def grow(self, samples: numpy.ndarray) -> int:
         """
         Grows the trees towards samples (k, n) until they meet. Returns how many samples it took.
         """
+
+    def way(self, start: numpy.ndarray, goal: numpy.ndarray) -> list[list[float]]:
+        """
+        The points of the way from a configuration (n,) to another in steps, as a tree grows; empty if something is in the way.
+        """
+
+    def project(self, q: numpy.ndarray) -> bool:
+        """
+        Moves configurations (k, n) by the least motion of the joints until the tip is well inside its region; False if it fails.
+        """
+
+    @property
+    def step(self) -> float:
+        """The longest line of a tree, rad (m)."""
 
     def path(self) -> list[list[float]]:
         """

@@ -19,15 +19,15 @@ constexpr size_t MAX_DEPTH = 64;       // of a tree that divides its items in ha
 constexpr double MIN_EXTENT_M = 1e-9;  // of the items: all of them are in one cell if they are closer together
 
 // An axis-aligned box.
-struct Bounds {
+struct AlignedBox {
     Vec3 low;
     Vec3 high;
 
-    static Bounds around(Vec3 center, double radius) {
+    static AlignedBox around(Vec3 center, double radius) {
         return {center - Vec3{radius, radius, radius}, center + Vec3{radius, radius, radius}};
     }
 
-    void include(const Bounds& other) {
+    void include(const AlignedBox& other) {
         low = {std::min(low.x, other.low.x), std::min(low.y, other.low.y), std::min(low.z, other.low.z)};
         high = {std::max(high.x, other.high.x), std::max(high.y, other.high.y), std::max(high.z, other.high.z)};
     }
@@ -69,7 +69,7 @@ public:
 
     // The items in the order in which leaves have them.
     const std::vector<std::uint32_t>& order() const { return order_; }
-    const Bounds& bounds() const { return nodes_.front().bounds; }
+    const AlignedBox& bounds() const { return nodes_.front().bounds; }
 
     // Visits the items near a place first, by their position in the order. `is_far(bounds)` says that the items in there do not matter;
     // `visit(position)` whether to stop.
@@ -98,7 +98,7 @@ public:
 
 private:
     struct Node {
-        Bounds bounds;
+        AlignedBox bounds;
         std::uint32_t begin;
         std::uint32_t end;
         std::uint32_t second;  // its second child; the first one follows it. 0 for a leaf
@@ -107,7 +107,7 @@ private:
     // The cells of the items on the curve in the upper half of the numbers, and the items in the lower half, sorted.
     template <class CenterOf>
     static std::vector<std::uint64_t> sorted_keys(size_t items, CenterOf center_of) {
-        Bounds all = {center_of(0), center_of(0)};
+        AlignedBox all = {center_of(0), center_of(0)};
         for (size_t i = 1; i < items; ++i) { all.include({center_of(i), center_of(i)}); }
         const Vec3 extent = all.high - all.low;
         const double largest = std::max({extent.x, extent.y, extent.z, MIN_EXTENT_M});

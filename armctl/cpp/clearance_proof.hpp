@@ -2,8 +2,8 @@
 #pragma once
 #include <deque>
 
-#include "collision_scene.hpp"
 #include "errors.hpp"
+#include "kept_region.hpp"
 #include "loop_motion.hpp"
 #include "spans.hpp"
 
@@ -15,11 +15,12 @@ constexpr double MIN_MOTION_M = 1e-4;  // an interval in which no point moves fa
 constexpr double MIN_MOTION_SHARE = 0.25;  // of the clearance, where that is less: a line may end where something is hardly farther away
 constexpr double COARSE_MOTION = 0.8;  // of the size of the moving geom: while the motion is larger, a distance would not settle the pair
 constexpr double MIN_TILT_RAD = 1e-4;  // an interval in which the axis turns by less is not split again: it then counts as tilted
-constexpr double RESOLUTION_M = 2e-4;  // of the closest approach: between the proved bound and a distance that is attained
-constexpr double SETTLED_M = 1e-7;     // A bound that is so near to the clearance is taken for it
+constexpr double MIN_REGION_MOTION = 1e-6;  // m or sine, towards a limit of a region: the same for such an interval at it
+constexpr double RESOLUTION_M = 2e-4;       // of the closest approach: between the proved bound and a distance that is attained
+constexpr double SETTLED_M = 1e-7;          // A bound that is so near to the clearance is taken for it
 
-// Where a motion is not known to be free. The number behind the last pair says that the kept axis tilts, the next one that closed loops
-// cannot be closed.
+// Where a motion is not known to be free. The number behind the last pair says that the tip leaves its region, the next one that closed
+// loops cannot be closed.
 struct Hit {
     size_t pair;
     double time;  // s
@@ -38,7 +39,8 @@ inline double min_motion(double clearance) { return clearance > 0.0 ? std::min(M
 class ClearanceProof {
 public:
     explicit ClearanceProof(std::shared_ptr<CollisionScene> scene)
-        : scene_(std::move(scene)), positions_(scene_->model().joints()), delta_(scene_->model().joints()), interval_(scene_->model().n()) {
+        : scene_(std::move(scene)), positions_(scene_->model().joints()), delta_(scene_->model().joints()),
+          tangent_(scene_->model().joints()), interval_(scene_->model().n()) {
         const Numbers zero(moving());
         motion_.set_line(zero, zero);
     }
@@ -59,14 +61,14 @@ public:
 
     CollisionScene& scene() { return *scene_; }
     PolynomialMotion& motion() { return motion_; }
-    // Sets or releases the axis that must keep its direction: it moves with a frame and has this direction where joints are now.
-    void keep_axis(Vector positions, size_t frame, Vec3 direction, double within) {
+    // Sets or releases the region in which the tip stays: it moves with a frame and has a pose where joints are now.
+    void keep(Vector positions, size_t frame, const Pose& tip, const Region& region) {
         checked_index(static_cast<std::int64_t>(frame), scene_->model().frames.size(), "frame");
         scene_->place_frames(positions);
-        keep_ = KeptAxis{frame, scene_->frame(frame).pose.rotation.inverse_times(direction), direction, within};
+        keep_.emplace(region, frame, scene_->frame(frame).pose, tip);
     }
-    void release_axis() { keep_.reset(); }
-    const std::optional<KeptAxis>& kept_axis() const { return keep_; }
+    void release() { keep_.reset(); }
+    const std::optional<KeptRegion>& kept() const { return keep_; }
 
     // Proves that all pairs, or only one, keep more than a clearance.
     std::optional<Hit> hit(double clearance, std::optional<size_t> only_pair = std::nullopt) {
@@ -109,7 +111,7 @@ private:
         std::shared_ptr<const std::vector<size_t>> open_pairs;  // those that are not settled; none for all that may be near
     };
 
-    // What is known of a pair, or of the kept axis, in an interval.
+    // What is known of a pair, or of the region of the tip, in an interval.
     enum class Verdict { free, open, not_free };
 
     // Finds where all joints are in the middle of an interval of a piece, and how far they leave it at most; with closed loops also
@@ -159,10 +161,10 @@ private:
                 if (verdict == Verdict::not_free) { return Hit{p, time}; }
                 if (verdict == Verdict::open) { open_pairs.push_back(p); }
             }
-            const Verdict tilt = keep_ ? check_tilt() : Verdict::free;
-            if (tilt == Verdict::not_free) { return Hit{scene_->no_pair(), time}; }
+            const Verdict kept = keep_ ? check_kept(piece, begin, end) : Verdict::free;
+            if (kept == Verdict::not_free) { return Hit{scene_->no_pair(), time}; }
             waiting_.pop_front();
-            if (open_pairs.empty() && tilt == Verdict::free && closure == Verdict::free) { continue; }
+            if (open_pairs.empty() && kept == Verdict::free && closure == Verdict::free) { continue; }
             const auto open = std::make_shared<const std::vector<size_t>>(std::move(open_pairs));
             waiting_.push_back({piece, begin, middle, open});
             waiting_.push_back({piece, middle, end, open});
@@ -193,29 +195,52 @@ private:
         return motion > std::max(gap, 0.0) + COARSE_MOTION * size && motion > min_motion(clearance);
     }
 
-    // Whether the axis keeps its direction while joint j moves by at most delta[j]. Change the joints from the base outward: hinge
-    // j then turns the axis u on a circle of radius |a_j x u|.
-    Verdict check_tilt() const {
-        const double angle = scene_->tilt(*keep_);
-        if (angle > keep_->within) { return Verdict::not_free; }
-        const Vec3 axis = scene_->frame(keep_->frame).pose.rotation * keep_->axis;
-        double turn = 0.0;
-        for (size_t walk = keep_->frame; walk > 0; walk = scene_->model().frames[walk].parent) {
-            const MovingFrame& moving = scene_->model().frames[walk];
-            if (!moving.slides) { turn += delta_[moving.joint] * norm(cross(scene_->frame(walk).axis, axis)); }
+    // Whether the tip stays in its region in an interval of a piece.
+    Verdict check_kept(size_t piece, double begin, double end) {
+        Verdict all = keep_->axis() ? check_tilt() : Verdict::free;
+        if (all == Verdict::not_free || keep_->limits().empty()) { return all; }
+        std::ranges::fill(tangent_, 0.0);
+        if (!scene_->loops()) { motion_.tangent(piece, 0.5 * (begin + end), 0.5 * (end - begin), tangent_); }
+        for (const RegionLimit& limit : keep_->limits()) {
+            const Verdict verdict = check_limit(limit);
+            if (verdict == Verdict::not_free) { return verdict; }
+            if (verdict == Verdict::open) { all = verdict; }
         }
-        if (angle + turn <= keep_->within) { return Verdict::free; }
+        return all;
+    }
+
+    // Whether the axis keeps its direction while joint j moves by at most delta[j].
+    Verdict check_tilt() const {
+        const double angle = keep_->tilt(*scene_);
+        const double within = keep_->axis()->within;
+        if (angle > within) { return Verdict::not_free; }
+        const double turn = keep_->turn(*scene_, delta_);
+        if (angle + turn <= within) { return Verdict::free; }
         return turn < MIN_TILT_RAD ? Verdict::not_free : Verdict::open;
+    }
+
+    Verdict check_limit(const RegionLimit& limit) const {
+        bool is_outside = true;
+        bool is_short = true;
+        for (const HalfSpace& space : limit.either) {
+            const double inside = keep_->inside(*scene_, space);
+            const double decrease = keep_->decrease(*scene_, space, {tangent_, delta_});
+            if (inside >= decrease) { return Verdict::free; }
+            is_outside = is_outside && inside < 0.0;
+            is_short = is_short && decrease < MIN_REGION_MOTION;
+        }
+        return is_outside || is_short ? Verdict::not_free : Verdict::open;
     }
 
     std::shared_ptr<CollisionScene> scene_;
     PolynomialMotion motion_;
-    std::optional<KeptAxis> keep_;
+    std::optional<KeptRegion> keep_;
     size_t checked_ = 0;  // intervals since the proof began
     std::deque<Interval> waiting_;
     // The middle of the interval in hand, (m,), and how far each joint leaves it at most.
     std::vector<double> positions_;
     std::vector<double> delta_;
+    std::vector<double> tangent_;  // (m,) of the motion at the middle, up to the end of the interval
     LoopInterval interval_;
 };
 

@@ -157,7 +157,7 @@ private:
 
     std::shared_ptr<const StandingGeoms> find_standing() const {
         std::vector<size_t> standing_geoms;
-        std::vector<Bounds> items;
+        std::vector<AlignedBox> items;
         for (size_t g = 0; g < geoms.size(); ++g) {
             if (geoms[g].frame != 0 || geoms[g].kind == ShapeKind::plane || geoms[g].kind == ShapeKind::points) { continue; }
             standing_geoms.push_back(g);
@@ -189,10 +189,10 @@ private:
     }
 
     // A box around a geom that stands, or around its bounding sphere.
-    Bounds standing_bounds(const Geom& geom) const {
-        if (geom.kind != ShapeKind::box) { return Bounds::around(geom.center, geom.radius); }
+    AlignedBox standing_bounds(const Geom& geom) const {
+        if (geom.kind != ShapeKind::box) { return AlignedBox::around(geom.center, geom.radius); }
         const Vec3 first = vertices.positions[geom.first_vertex];
-        Bounds bounds = {first, first};
+        AlignedBox bounds = {first, first};
         for (size_t i = geom.first_vertex; i < geom.last_vertex; ++i) { bounds.include({vertices.positions[i], vertices.positions[i]}); }
         return bounds;
     }

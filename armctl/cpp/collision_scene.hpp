@@ -57,14 +57,6 @@ struct NearPair {
     Numbers gradient;
 };
 
-// An axis that keeps its direction.
-struct KeptAxis {
-    size_t frame = 0;
-    Vec3 axis;            // in the world at the reference configuration
-    Vec3 direction;       // in the world
-    double within = 0.0;  // rad
-};
-
 // One object for each thread: it holds the scratch memory of its queries.
 class CollisionScene {
 public:
@@ -175,7 +167,7 @@ public:
             if (farthest < 0.0) { continue; }
             const double square = farthest * farthest;
             standing.tree.search(
-                centers_[b], [&](const Bounds& bounds) { return bounds.squared_distance(centers_[b]) > square; },
+                centers_[b], [&](const AlignedBox& bounds) { return bounds.squared_distance(centers_[b]) > square; },
                 [&](size_t position) {
                     if (of_geom[position] != StandingGeoms::NO_PAIR) { near_pairs_.push_back(of_geom[position]); }
                     return false;
@@ -295,12 +287,6 @@ public:
         return motions_(pair.a, pair.common) + motions_(pair.b, pair.common);
     }
 
-    // The angle between the axis and the direction that it should keep, rad.
-    double tilt(const KeptAxis& keep) const {
-        const Vec3 axis = frames_[keep.frame].pose.rotation * keep.axis;
-        return std::atan2(norm(cross(axis, keep.direction)), dot(axis, keep.direction));
-    }
-
     struct PlacedFrame {
         Pose pose;
         Vec3 anchor;  // of its joint, in the world
@@ -395,7 +381,7 @@ private:
             nearest.bounds.lower = std::min(nearest.bounds.lower, lower);
             return true;
         };
-        const auto is_far = [&](const Bounds& bounds) {
+        const auto is_far = [&](const AlignedBox& bounds) {
             if (is_skipped(std::sqrt(bounds.squared_distance(center)) - reach)) { return true; }
             if (bounds.radius() > second.radius) { return false; }
             return is_skipped(box_gap(bounds, second, relative, center, enough() + inflation) - inflation);
@@ -420,7 +406,7 @@ private:
 
     // A lower bound of the distance of a box and a geom without its radius: the best one that GJK finds until it is enough, or until
     // the two are known to be nearer.
-    double box_gap(const Bounds& bounds, const Geom& geom, const Pose& relative, Vec3 center, double enough) const {
+    double box_gap(const AlignedBox& bounds, const Geom& geom, const Pose& relative, Vec3 center, double enough) const {
         double lower = -INFINITE_M;
         Simplex simplex;
         Vec3 v = bounds.center() - center;

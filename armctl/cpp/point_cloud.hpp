@@ -14,7 +14,7 @@ public:
     PointCloud(Matrix points, double radius) : radius_(radius) {
         if (points.rows == 0) { throw InputError("points: the cloud is empty"); }
         const auto point = [&](size_t i) { return vec3(points.row(i)); };
-        tree_ = BoxTree(points.rows, point, [&](size_t i) { return Bounds{point(i), point(i)}; });
+        tree_ = BoxTree(points.rows, point, [&](size_t i) { return AlignedBox{point(i), point(i)}; });
         points_.reserve(points.rows);
         for (const std::uint32_t item : tree_.order()) { points_.push_back(point(item)); }
     }
@@ -28,7 +28,7 @@ public:
     double distance(Vec3 place) const {
         double least = std::numeric_limits<double>::infinity();
         tree_.search(
-            place, [&](const Bounds& bounds) { return bounds.squared_distance(place) >= least; },
+            place, [&](const AlignedBox& bounds) { return bounds.squared_distance(place) >= least; },
             [&](size_t i) {
                 const Vec3 between = points_[i] - place;
                 least = std::min(least, dot(between, between));

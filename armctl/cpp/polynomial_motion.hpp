@@ -56,6 +56,17 @@ public:
         }
     }
 
+    // What the velocities (m,) in the middle of an interval of one piece move the joints by up to its end.
+    void tangent(size_t piece, double middle, double half, Result moves) const {
+        for (size_t i = 0; i < joints_; ++i) {
+            double velocity = 0.0;
+            for (size_t k = powers_ - 1; k > 0; --k) {
+                velocity = middle * velocity + static_cast<double>(k) * coefficients_[(piece * powers_ + k) * joints_ + i];
+            }
+            moves[i] = half * velocity;
+        }
+    }
+
 private:
     std::vector<double> knots_;
     std::vector<double> coefficients_;

@@ -15,6 +15,8 @@ inline Rotation rotation_from_angles(double roll, double pitch, double yaw) {
 
 inline Rotation transposed(const Rotation& R) { return {R.row_x(), R.row_y(), R.row_z()}; }
 
+constexpr size_t REGION_NUMBERS = 38;
+
 struct Region {
     Pose frame;                     // in the world
     Pose offset;                    // of the tip in the frame, where all coordinates are zero
@@ -24,6 +26,13 @@ struct Region {
     double cone;                    // rad, by which this axis may tilt
 
     bool turns_freely() const { return axis >= 0; }
+
+    // From its numbers: frame, offset, bounds of the lengths and angles, axis and cone.
+    static Region from_numbers(Vector numbers) {
+        const auto bounds = [&](size_t k) { return Bounds{numbers[24 + 2 * k], numbers[25 + 2 * k]}; };
+        return {pose_of(numbers.first(12)),        pose_of(numbers.subspan(12, 12)), {bounds(0), bounds(1), bounds(2)},
+                {bounds(3), bounds(4), bounds(5)}, static_cast<int>(numbers[36]),    numbers[37]};
+    }
 
     // The same region in another unit of length.
     Region scaled(double factor) const {
@@ -93,12 +102,24 @@ inline void add_cone_error(const Region& region, const Rotation& tip, RegionErro
     error.rotation = (tilt - region.cone) * unit;
 }
 
+// Roll, pitch and yaw of a displacement from the frame, rad.
+inline Vec3 angles_in(const Region& region, const Rotation& displacement) {
+    const auto& [x, y, z] = displacement;
+    return {turned_near(region.angles[0], std::atan2(y.z, z.z)), std::atan2(-x.z, std::hypot(x.x, x.y)),
+            turned_near(region.angles[2], std::atan2(x.y, x.x))};
+}
+
+// The angle between the axis of a tip and the middle of the cone in which it may tilt, rad.
+inline double tilt_in(const Region& region, const Rotation& tip) {
+    const Vec3 axis = axis_of(tip, region.axis);
+    const Vec3 middle = region.frame.rotation * axis_of(region.offset.rotation, region.axis);
+    return std::atan2(norm(cross(axis, middle)), dot(axis, middle));
+}
+
 // The rotation error of a tip whose roll, pitch and yaw are bounded. `displacement` is its orientation from the frame.
 inline void add_angle_error(const Region& region, const Rotation& displacement, RegionError& error) {
-    const auto& [x, y, z] = displacement;
-    const double pitch = std::atan2(-x.z, std::hypot(x.x, x.y));
-    const double roll = turned_near(region.angles[0], std::atan2(y.z, z.z));
-    const double yaw = turned_near(region.angles[2], std::atan2(x.y, x.x));
+    const Vec3& x = displacement.x;
+    const auto [roll, pitch, yaw] = angles_in(region, displacement);
     std::array<bool, 3> is_held{};
     const double roll_change = to_bounds(region.angles[0], roll, is_held[0]);
     const double pitch_change = to_bounds(region.angles[1], pitch, is_held[1]);
@@ -130,6 +151,19 @@ inline RegionError region_error(const Region& region, const Pose& tip) {
     error.position = {to_bounds(region.lengths[0], p.x, error.is_bounded[0]), to_bounds(region.lengths[1], p.y, error.is_bounded[1]),
                       to_bounds(region.lengths[2], p.z, error.is_bounded[2])};
     return error;
+}
+
+// The six coordinates of a tip in a region: three lengths, m, and roll, pitch and yaw, rad; with a free axis its tilt and two zeros.
+inline std::array<double, 6> coordinates_in(const Region& region, const Pose& tip) {
+    const Rotation& F = region.frame.rotation;
+    if (region.turns_freely()) {
+        const Vec3 p = F.inverse_times(tip.translation - region.frame.translation) - region.offset.translation;
+        return {p.x, p.y, p.z, tilt_in(region, tip.rotation), 0.0, 0.0};
+    }
+    const Rotation region_axes = tip.rotation * transposed(region.offset.rotation);
+    const Vec3 p = F.inverse_times(tip.translation - region_axes * region.offset.translation - region.frame.translation);
+    const auto [roll, pitch, yaw] = angles_in(region, transposed(F) * region_axes);
+    return {p.x, p.y, p.z, roll, pitch, yaw};
 }
 
 // The member of a region that is nearest to a tip: first turned into the region, then moved.

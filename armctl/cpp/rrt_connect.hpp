@@ -8,13 +8,13 @@ namespace armctl {
 
 constexpr double STEP = 1.0;  // the longest edge of a tree, rad (m)
 constexpr double SAME_CONFIGURATION_RAD = 1e-10;
-constexpr double MIN_PROGRESS = 0.2;  // of a step, towards a target: with less, the projection on the kept axis leads away from it
+constexpr double MIN_PROGRESS = 0.2;  // of a step, towards a target: with less, the projection into the region leads away from it
 constexpr double ROUNDING = 1e-9;
-constexpr double LEVEL_SHARE = 0.5;  // of the permitted tilt, which nodes keep: the lines between them need the rest
+constexpr double LEVEL_SHARE = 0.5;  // of the permitted tilt, or of a region, which nodes keep: the lines between them need the rest
+constexpr double MAX_MARGIN = 0.01;  // m or rad, at a limit of a wide region: a line that leaves it there is not taken
 constexpr double LEVEL_TOLERANCE_RAD = 1e-6;
 constexpr int LEVEL_STEPS = 8;
 constexpr double LEVEL_DAMPING = 1e-6;
-constexpr double UPSIDE_DOWN = 1e-16;  // the square of a sine: the axis is upside down
 
 using Configuration = std::vector<double>;  // (n,) rad
 using Path = std::vector<Configuration>;
@@ -29,7 +29,7 @@ inline double joint_distance(Vector first, Vector second) {
     return std::sqrt(square);
 }
 
-// Paths keep a clearance from everything and, if asked, the direction of an axis. Uses the proof's scratch memory and its kept axis.
+// Paths keep a clearance from everything and, if asked, the tip in a region. Uses the proof's scratch memory and its region.
 class RrtConnect {
 public:
     // From a start (n,) to any of some goals (g, n), all of them free; `low` and `high` (n,) bound what is tried. No tree gets
@@ -38,7 +38,7 @@ public:
                size_t capacity)
         : proof_(std::move(proof)), clearance_(clearance), low_(low.begin(), low.end()), high_(high.begin(), high.end()),
           capacity_(capacity), end_(model().joints()) {
-        if (keep()) { step_ = std::min(STEP, 2.0 * std::sqrt(keep()->within)); }
+        if (keep()) { step_ = std::min(STEP, 2.0 * std::sqrt(0.5 * keep()->thickness())); }
         add(trees_[FROM_START], start, std::nullopt);
         for (size_t goal = 0; goal < goals.rows; ++goal) { add(trees_[FROM_GOALS], goals.row(goal), std::nullopt); }
     }
@@ -78,6 +78,28 @@ public:
         return path;
     }
 
+    // The way from a configuration (n,) to another in steps, as a tree grows; empty if something is in the way.
+    Path way(Vector start, Vector goal) {
+        Tree tree;
+        add(tree, start, std::nullopt);
+        Path path;
+        if (!connect(tree, goal)) { return path; }
+        for (const Node& node : tree) { path.push_back(node.q); }
+        return path;
+    }
+
+    // Brings the tip at configurations (k, n) into the inner part of its region. Returns whether it could at all of them.
+    bool project(MatrixResult q) {
+        if (!keep()) { return true; }
+        for (size_t row = 0; row < q.rows; ++row) {
+            if (!level(q.row(row))) { return false; }
+        }
+        return true;
+    }
+
+    // The longest edge, rad (m).
+    double step() const { return step_; }
+
 private:
     struct Node {
         Configuration q;
@@ -89,7 +111,7 @@ private:
     enum Side { FROM_START, FROM_GOALS };
 
     const CollisionModel& model() const { return proof_->scene().model(); }
-    const std::optional<KeptAxis>& keep() const { return proof_->kept_axis(); }
+    const std::optional<KeptRegion>& keep() const { return proof_->kept(); }
 
     static size_t add(Tree& tree, Vector q, std::optional<size_t> parent) {
         tree.push_back({.q = Configuration(q.begin(), q.end()), .parent = parent});
@@ -111,7 +133,7 @@ private:
     }
 
     // A new node on the way from a node to a configuration, at most a step away, or none. Nodes before the
-    // configuration are projected where an axis keeps its direction.
+    // configuration are projected where the tip stays in a region.
     std::optional<size_t> extend(Tree& tree, size_t node, Vector goal) {
         const Configuration& start = tree[node].q;
         const double distance = joint_distance(goal, start);
@@ -146,41 +168,69 @@ private:
         CollisionScene& scene = proof_->scene();
         scene.find_positions(end, end_);
         if (scene.first_hit(end_, clearance_) != scene.no_pair()) { return false; }
-        if (keep() && scene.tilt(*keep()) > keep()->within) { return false; }
+        if (keep() && !keep()->contains_tip(scene)) { return false; }
         proof_->set_line(start, end);
         return !proof_->hit(clearance_);
     }
 
-    // Turns the kept axis of a configuration towards its direction, by the least motion of the joints, between bounds. Returns
-    // whether it could. Newton steps on the tilt.
+    // Brings the tip of a configuration into the inner part of its region, by the least motion of the joints, between bounds. Returns
+    // whether it could. Newton steps on the limits that the tip is beyond.
     bool level(Result q) {
         CollisionScene& scene = proof_->scene();
-        const KeptAxis& axis = *keep();
         for (int step = 0; step < LEVEL_STEPS; ++step) {
             scene.find_positions(q, end_);
             scene.place_frames(end_);
-            const double excess = scene.tilt(axis) - LEVEL_SHARE * axis.within;
-            if (excess <= LEVEL_TOLERANCE_RAD) { return true; }
-            const Numbers decrease = tilt_decrease(scene.frame(axis.frame).pose.rotation * axis.axis);
-            const double scale = (excess + LEVEL_TOLERANCE_RAD) / (dot(decrease, decrease) + LEVEL_DAMPING);
-            for (size_t j = 0; j < q.size(); ++j) { q[j] = std::min(std::max(q[j] + scale * decrease[j], low_[j]), high_[j]); }
+            const std::vector<Excess> beyond = excesses();
+            if (beyond.empty()) { return true; }
+            const Numbers move = least_move(beyond);
+            for (size_t j = 0; j < q.size(); ++j) { q[j] = std::min(std::max(q[j] + move[j], low_[j]), high_[j]); }
         }
         return false;
     }
 
-    // How fast each joint (n,) turns the kept axis towards its direction.
-    Numbers tilt_decrease(Vec3 axis) const {
+    // How far the tip is outside the inner part of its region in one direction, and how fast each joint (n,) decreases it.
+    struct Excess {
+        double excess;  // m or rad
+        Numbers decrease;
+    };
+
+    std::vector<Excess> excesses() const {
         const CollisionScene& scene = proof_->scene();
-        Vec3 rotation = cross(axis, keep()->direction);
-        if (dot(rotation, rotation) < UPSIDE_DOWN) {  // any rotation across the axis
-            rotation = {axis.y - axis.z, axis.z - axis.x, axis.x - axis.y};
+        const KeptRegion& region = *keep();
+        std::vector<Excess> found;
+        if (region.axis()) {
+            const double excess = region.tilt(scene) - LEVEL_SHARE * region.axis()->within;
+            if (excess > LEVEL_TOLERANCE_RAD) { found.push_back({excess, scene.reduced_gradient(region.tilt_decrease(scene))}); }
         }
-        Numbers all(model().joints());
-        for (size_t walk = keep()->frame; walk > 0; walk = model().frames[walk].parent) {
-            const MovingFrame& moving = model().frames[walk];
-            if (!moving.slides) { all[moving.joint] = dot(scene.frame(walk).axis, rotation) / norm(rotation); }
+        for (const RegionLimit& limit : region.limits()) {
+            const HalfSpace& space = region.best_of(scene, limit);
+            const double excess = std::min(0.5 * LEVEL_SHARE * limit.thickness, MAX_MARGIN) - region.inside(scene, space);
+            if (excess > LEVEL_TOLERANCE_RAD) { found.push_back({excess, scene.reduced_gradient(region.gradient(scene, space))}); }
         }
-        return scene.reduced_gradient(all);
+        return found;
+    }
+
+    // The least motion of the joints (n,) that takes back some excesses: a damped Newton step, J^T (J J^T + damping)^-1 excess.
+    static Numbers least_move(const std::vector<Excess>& beyond) {
+        const size_t count = beyond.size();
+        Mat square(count, count);
+        Numbers scales(count);
+        for (size_t i = 0; i < count; ++i) {
+            scales[i] = beyond[i].excess + LEVEL_TOLERANCE_RAD;
+            for (size_t k = 0; k <= i; ++k) { square(i, k) = dot(beyond[i].decrease, beyond[k].decrease); }
+            square(i, i) += LEVEL_DAMPING;
+        }
+        if (count == 1) {
+            scales[0] /= square(0, 0);
+        } else {
+            factorize(square);
+            solve(square, scales);
+        }
+        Numbers move(beyond.front().decrease.size());
+        for (size_t i = 0; i < count; ++i) {
+            for (size_t j = 0; j < move.size(); ++j) { move[j] += scales[i] * beyond[i].decrease[j]; }
+        }
+        return move;
     }
 
     std::shared_ptr<ClearanceProof> proof_;

@@ -135,7 +135,7 @@ CollisionModel with_additions(const CollisionModel& model, CollisionAdditions ad
     const Matrix poses = cloud_poses.matrix(clouds.size(), 12, "cloud_poses");
     for (size_t c = 0; c < clouds.size(); ++c) {
         const Pose pose = pose_of(poses.row(c));
-        const Bounds& bounds = clouds[c]->tree().bounds();
+        const AlignedBox& bounds = clouds[c]->tree().bounds();
         added.geoms.push_back({
             .kind = ShapeKind::points,
             .position = pose.translation,
@@ -246,8 +246,9 @@ void bind_scene(nb::module_& module) {
              "their distance less their clearance (K,).");
 }
 
-void keep_axis(ClearanceProof& proof, const In& q, size_t frame, const In& direction, double within) {
-    proof.keep_axis(all_positions(proof.scene(), q), frame, vec3(direction.vector(3, "direction")), within);
+void keep_region(ClearanceProof& proof, const In& q, size_t frame, const In& tip, const In& region) {
+    const Region kept = Region::from_numbers(region.vector(REGION_NUMBERS, "region"));
+    proof.keep(all_positions(proof.scene(), q), frame, pose_of(tip.vector(12, "tip")), kept);
 }
 
 void set_motion(ClearanceProof& proof, const In& knots, const In& coefficients) {
@@ -265,7 +266,7 @@ std::optional<Hit> find_hit(ClearanceProof& proof, double clearance, std::option
 void bind_proof(nb::module_& module) {
     module.attr("MAX_DEGREE") = PolynomialMotion::MAX_DEGREE;
     nb::class_<Hit>(module, "Hit", "A pair that is not known to be free.")
-        .def_ro("pair", &Hit::pair, "Its row; the number of pairs says that the kept axis tilts, the next that loops do not close.")
+        .def_ro("pair", &Hit::pair, "Its row; the number of pairs says that the tip leaves its region, the next that loops do not close.")
         .def_ro("time", &Hit::time, "s");
     nb::class_<Approach>(module, "Approach", "How near a motion comes.")
         .def_ro("bound", &Approach::bound, "m, proved; negative if the clearance could not be proved.")
@@ -274,9 +275,9 @@ void bind_proof(nb::module_& module) {
     nb::class_<ClearanceProof>(module, "ClearanceProof",
                                "Proofs for whole motions with scratch memory: use an object in one thread at a time.")
         .def(nb::init<std::shared_ptr<CollisionScene>>(), "scene"_a)
-        .def("keep_axis", &keep_axis, "q"_a, "frame"_a, "direction"_a, "within"_a,
-             "In the next proofs, the axis that moves with a frame and has a direction of the world (3,) at q (n,) may tilt by rad.")
-        .def("release_axis", &ClearanceProof::release_axis, "Lets all axes tilt.")
+        .def("keep_region", &keep_region, "q"_a, "frame"_a, "tip"_a, "region"_a,
+             "In the next proofs, the tip, which moves with a frame and has a pose (12,) at q (n,), stays in a region (38,).")
+        .def("release_region", &ClearanceProof::release, "Lets the tip go anywhere.")
         .def("set_motion", &set_motion, "knots"_a, "coefficients"_a,
              "Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints, or with closed\n"
              "loops of the n driven ones, by powers of the time since the knot, of degree 1 to 5.")

@@ -108,15 +108,6 @@ void refine(const Chain& chain, const In& targets, Constraint constraint, double
     }
 }
 
-constexpr size_t REGION_NUMBERS = 38;
-
-// A region from its numbers: frame, offset, bounds of the lengths and angles, axis and cone.
-Region region_of(Vector numbers) {
-    const auto bounds = [&](size_t k) { return Bounds{numbers[24 + 2 * k], numbers[25 + 2 * k]}; };
-    return {pose_of(numbers.first(12)),        pose_of(numbers.subspan(12, 12)), {bounds(0), bounds(1), bounds(2)},
-            {bounds(3), bounds(4), bounds(5)}, static_cast<int>(numbers[36]),    numbers[37]};
-}
-
 // Applies a search to configurations q (K, n), each for the region of its number, and fills solved and steps (K,).
 template <class Search>
 void for_each_region(const Chain& chain, const In& regions, const IntegersIn& numbers, Tolerances tolerances, const Out& q,
@@ -130,7 +121,7 @@ void for_each_region(const Chain& chain, const In& regions, const IntegersIn& nu
     const Tolerances in_reaches = solver.in_reaches(tolerances);
     for (size_t k = 0; k < rows.rows; ++k) {
         const size_t r = checked_index(region[k], sets.rows, "numbers");
-        const Descent descent = search(solver, region_of(sets.row(r)).scaled(1.0 / chain.reach()), in_reaches, rows.row(k));
+        const Descent descent = search(solver, Region::from_numbers(sets.row(r)).scaled(1.0 / chain.reach()), in_reaches, rows.row(k));
         all_solved[k] = descent.solved ? 1 : 0;
         all_steps[k] = descent.steps;
     }
@@ -158,7 +149,7 @@ void relax_in_regions(const Chain& chain, const In& regions, const In& spacing, 
                       bool is_start_held, std::int64_t sweeps, const Out& q) {
     const Matrix sets = regions.matrix(regions.length("regions"), REGION_NUMBERS, "regions");
     RegionPath path{.regions = {}, .spacing = spacing.vector(std::max<size_t>(sets.rows, 1) - 1, "spacing")};
-    for (size_t k = 0; k < sets.rows; ++k) { path.regions.push_back(region_of(sets.row(k)).scaled(1.0 / chain.reach())); }
+    for (size_t k = 0; k < sets.rows; ++k) { path.regions.push_back(Region::from_numbers(sets.row(k)).scaled(1.0 / chain.reach())); }
     const MatrixResult rows = q.matrix(sets.rows, chain.n(), "q");
     IkSolver solver(chain);
     const Tolerances tolerances = solver.in_reaches({position_tolerance, orientation_tolerance});
@@ -169,7 +160,7 @@ void relax_in_regions(const Chain& chain, const In& regions, const In& spacing, 
 }
 
 void nearest_members(const In& region, const In& tips, const Out& members) {
-    const Region given = region_of(region.vector(REGION_NUMBERS, "region"));
+    const Region given = Region::from_numbers(region.vector(REGION_NUMBERS, "region"));
     const Matrix poses = tips.matrix(tips.length("tips"), 12, "tips");
     const MatrixResult nearest = members.matrix(poses.rows, 12, "members");
     for (size_t k = 0; k < poses.rows; ++k) {
@@ -177,6 +168,13 @@ void nearest_members(const In& region, const In& tips, const Out& members) {
         member.rotation.to_rows(nearest.row(k));
         member.translation.store(nearest.row(k).subspan(9));
     }
+}
+
+void region_coordinates(const In& region, const In& tips, const Out& coordinates) {
+    const Region given = Region::from_numbers(region.vector(REGION_NUMBERS, "region"));
+    const Matrix poses = tips.matrix(tips.length("tips"), 12, "tips");
+    const MatrixResult rows = coordinates.matrix(poses.rows, 6, "coordinates");
+    for (size_t k = 0; k < poses.rows; ++k) { std::ranges::copy(coordinates_in(given, pose_of(poses.row(k))), rows.row(k).begin()); }
 }
 
 void random_starts(const Chain& chain, const In& q0, std::int64_t first, std::uint64_t seed, const Out& q) {
@@ -364,6 +362,9 @@ void bind_ik(nb::module_& module) {
         .def("find_first", &find_first, "targets"_a, "q0"_a, "slack"_a, "margin"_a, "positions"_a, "q"_a, "found"_a, Release(),
              "Fills q (N, n) with a configuration for each of the targets (N, 12) that has any.");
     module.attr("REGION_NUMBERS") = REGION_NUMBERS;
+    module.def(
+        "region_coordinates", &region_coordinates, "region"_a, "tips"_a, "coordinates"_a, Release(),
+        "Fills coordinates (K, 6) with x, y, z, roll, pitch and yaw of tips (K, 12) in a region (38,), or with x, y, z and the tilt.");
     module.def("nearest_members", &nearest_members, "region"_a, "tips"_a, "members"_a, Release(),
                "Fills members (K, 12) with the poses of a region (38,) that are nearest to the tips (K, 12).");
     module.def("residuals", &find_residuals, "constraint"_a, "targets"_a, "positions"_a, "rotations"_a, "position_errors"_a,

@@ -13,7 +13,8 @@ from armctl.core.errors import InputError, ModelError, UnknownNameError, few_nam
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.collision_geometry import Geometry, build_geometry, colliding_pairs, is_convex
-from armctl.model.collision.moving_joints import KeptAxis, MovingJoints, NearPairs
+from armctl.model.collision.kept_region import KeptRegion
+from armctl.model.collision.moving_joints import MovingJoints, NearPairs
 from armctl.model.collision.world_geometry import add_world
 from armctl.model.collision.world_snapshot import WorldSnapshot
 from armctl.model.mjmodel.closed_loops import pinned_bodies
@@ -99,20 +100,21 @@ class CollisionChecker:
         snapshot.derived[self] = checker
         return checker
 
-    def proof(self, keep: KeptAxis | None = None) -> ClearanceProof:
-        """The proofs of this thread, with an axis that must keep its direction."""
+    def proof(self, keep: KeptRegion | None = None) -> ClearanceProof:
+        """The proofs of this thread, with a region in which the tip must stay."""
         memory = self._memory
         if keep is None:
-            memory.proof.release_axis()
+            memory.proof.release_region()
             return memory.proof
         joints = sorted(self._joint_map.joints)
-        last = joints[last_joint_above(self._model, tuple(joints))[keep.body]]
+        last = joints[last_joint_above(self._model, tuple(joints))[keep.arm.tip_body]]
         frame = joints.index(last) + 1
-        memory.proof.keep_axis(_contiguous(keep.q), frame, _contiguous(keep.direction), keep.within)
+        tip = _contiguous(keep.tip.rows.reshape(12))
+        memory.proof.keep_region(_contiguous(keep.q), frame, tip, _contiguous(keep.part.numbers))
         return memory.proof
 
-    def tilts(self, hit: Hit) -> bool:
-        """Whether a proof stopped because the kept axis tilts, and not because a pair is too near."""
+    def leaves_region(self, hit: Hit) -> bool:
+        """Whether a proof stopped because the tip leaves its region, and not because a pair is too near."""
         return hit.pair == len(self.geometry.pairs)
 
     def opens(self, hit: Hit) -> bool:
@@ -180,7 +182,7 @@ class CollisionChecker:
         )
         return marks.astype(bool)
 
-    def line_hit(self, start: Array, end: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
+    def line_hit(self, start: Array, end: Array, clearance: float = 0.0, keep: KeptRegion | None = None) -> Hit | None:
         """Proves that the straight line between two configurations (n,) keeps more than a clearance, m.
 
         None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
@@ -192,7 +194,9 @@ class CollisionChecker:
             self._set_line(proof, self._joint_map.positions(start), self._joint_map.positions(end))
         return proof.hit(clearance)
 
-    def motion_hit(self, knots: Array, coefficients: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
+    def motion_hit(
+        self, knots: Array, coefficients: Array, clearance: float = 0.0, keep: KeptRegion | None = None
+    ) -> Hit | None:
         """Proves that a motion of piecewise polynomials keeps more than a clearance, m, at all times.
 
         None if it does; else the pair and the time at which it is not known to be free. `coefficients` (K, degree + 1,
@@ -200,11 +204,11 @@ class CollisionChecker:
         """
         return self._proof_of(knots, coefficients, keep).hit(clearance)
 
-    def closest_approach(self, knots: Array, coefficients: Array, clearance: float, keep: KeptAxis | None = None) -> Approach:
+    def closest_approach(self, knots: Array, coefficients: Array, clearance: float, keep: KeptRegion | None = None) -> Approach:
         """As `motion_hit`, and how near the motion comes."""
         return self._proof_of(knots, coefficients, keep).closest_approach(clearance)
 
-    def _proof_of(self, knots: Array, coefficients: Array, keep: KeptAxis | None) -> ClearanceProof:
+    def _proof_of(self, knots: Array, coefficients: Array, keep: KeptRegion | None) -> ClearanceProof:
         """The proofs of this thread, of a motion, whose followers follow."""
         proof = self.proof(keep)
         if not self._joint_map.is_plain and self._joint_map.closure is None:

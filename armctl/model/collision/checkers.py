@@ -7,11 +7,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from armctl.core.errors import InputError, ModelError, UnknownNameError
-from armctl.core.validation import Array, flag, number, shown
+from armctl.core.errors import InputError, ModelError
+from armctl.core.validation import Array, flag, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker, allowed_geoms
-from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
+from armctl.model.collision.moving_joints import MovingJoints
 from armctl.model.collision.world_snapshot import WorldLike, read_world
 
 
@@ -21,21 +21,6 @@ def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
         return tuple(allow)  # type: ignore[arg-type]
     except TypeError:
         raise InputError(f"allow: expected pairs of names, got {shown(allow)}") from None
-
-
-KEEP_WITHIN_RAD = 0.1
-_MIN_KEEP_WITHIN_RAD = 1e-3
-_MAX_KEEP_WITHIN_RAD = 0.5 * np.pi
-
-
-def read_kept_axis(arm: Arm, keep: str | None, keep_within: float, q: Array) -> KeptAxis | None:
-    """The axis of the tip, "x", "y" or "z", that keeps the direction it has at q (n,) within an angle, rad; None for None."""
-    within = number("keep_within", keep_within, _MIN_KEEP_WITHIN_RAD, _MAX_KEEP_WITHIN_RAD)
-    if keep is None:
-        return None
-    if not isinstance(keep, str) or keep not in ("x", "y", "z"):
-        raise UnknownNameError.from_known("axis to keep", f"{keep!s:.80}", ["x", "y", "z"])
-    return KeptAxis(keep, arm.tip_body, q, arm.fk(q).rotation[:, "xyz".index(keep)], within)
 
 
 # The checkers that were used last, of each arm. One of them takes about 0.5 MB.

@@ -10,13 +10,14 @@ import numpy as np
 
 from armctl._core import MAX_DEGREE
 from armctl.core.errors import InputError
+from armctl.core.region import Region
 from armctl.core.result import Verdict, left_out_text
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.collision.checker import CollisionChecker
-from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
-from armctl.model.collision.moving_joints import KeptAxis
+from armctl.model.collision.checkers import collision_checker
+from armctl.model.collision.kept_region import KEEP_WITHIN_RAD, KeptRegion, read_kept_region
 from armctl.model.collision.world_snapshot import WorldLike
 
 _NO_PAIRS_M = np.inf
@@ -53,7 +54,7 @@ class ClearanceCheck(Verdict):
             distance that is attained. Otherwise a distance that occurs, negative where geoms overlap; NaN if a link has no
             collision shape, so that nothing is known.
         time: s, when the arm is nearest (if not ok: when it is too near); NaN likewise.
-        first: One body of the nearest pair; empty if nothing can touch, if the kept axis tilts, or if a link has no shape.
+        first: One body of the nearest pair; empty if nothing can touch, the tip leaves its region, or a link has no shape.
         second: The other.
         clearance: The required clearance, m.
         reason: Why it is not ok, in one sentence; empty if it is.
@@ -85,7 +86,7 @@ def check_clearance(
     clearance: float = 0.0,
     allow: Iterable[tuple[str, str]] = (),
     *,
-    keep: str | None = None,
+    keep: str | Region | None = None,
     keep_within: float = KEEP_WITHIN_RAD,
     world: WorldLike | None = None,
 ) -> ClearanceCheck:
@@ -102,7 +103,8 @@ def check_clearance(
         trajectory: The motion, of polynomial pieces.
         clearance: m, at least 0.
         allow: Pairs of names of bodies or geoms that may touch.
-        keep: "x", "y" or "z": the axis of the tip that must keep the direction it has at the start, as for a glass.
+        keep: "x", "y" or "z": the axis of the tip that must keep the direction it has at the start, as for a glass; or a Region
+            of one part in which the tip must stay: a plane, an arc, a cone.
         keep_within: rad that this axis may tilt.
         world: What is around the arm besides its scene: a World, or a snapshot of one.
 
@@ -124,7 +126,7 @@ def check_clearance(
         raise InputError(
             f"trajectory: it moves {', '.join(trajectory.joint_names)[:80]}, the arm has {', '.join(arm.joint_names)[:80]}"
         )
-    kept = read_kept_axis(arm, keep, keep_within, trajectory(0.0).q)
+    kept = read_kept_region(arm, keep, keep_within, trajectory(0.0).q)
     checker = collision_checker(arm, allow=allow, world=world)
     if checker.not_checkable:
         return ClearanceCheck(
@@ -134,14 +136,14 @@ def check_clearance(
 
 
 def clearance_of(
-    checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptAxis | None = None
+    checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptRegion | None = None
 ) -> ClearanceCheck:
     """As `check_clearance`, with a checker that is at hand, and of the shapes that there are."""
     return replace(_clearance_of(checker, trajectory, clearance, keep), left_out=checker.left_out)
 
 
 def _clearance_of(
-    checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptAxis | None
+    checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptRegion | None
 ) -> ClearanceCheck:
     checker.require_convex()
     if trajectory.coefficients.shape[1] > MAX_DEGREE + 1:
@@ -158,8 +160,11 @@ def _clearance_of(
         return ClearanceCheck(
             ok=True, distance=approach.bound, time=hit.time, first=first, second=second, clearance=clearance, reason=""
         )
-    if keep is not None and checker.tilts(hit):
-        what = f"the tip's {keep.name} axis tilts by more than {keep.within:.3g} rad, at {hit.time:.3f} s"
+    if keep is not None and checker.leaves_region(hit):
+        if keep.axis is None:
+            what = f"{keep.why_outside(trajectory(hit.time).q)}, at {hit.time:.3f} s"
+        else:
+            what = f"the tip's {keep.axis} axis tilts by more than {keep.part.cone:.3g} rad, at {hit.time:.3f} s"
         return ClearanceCheck(
             ok=False,
             distance=approach.distance if has_pairs else _NO_PAIRS_M,

@@ -37,16 +37,6 @@ class MovingJoints(Protocol):
     def unchecked_links(self) -> tuple[str, ...]: ...  # links without a collision shape that they need
 
 
-class KeptAxis(NamedTuple):
-    """An axis of the tip that keeps its direction."""
-
-    name: str  # "x", "y" or "z"
-    body: int
-    q: Array  # (n,) rad, where it has the direction that it keeps
-    direction: Array  # (3,) of the world
-    within: float  # rad that it may tilt
-
-
 class NearPairs(NamedTuple):
     """Pairs that are close."""
 

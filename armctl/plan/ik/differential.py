@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.region import Region
 from armctl.core.target import TargetLike
 from armctl.core.tip_targets import TipTargets, read_polygon
 from armctl.core.validation import Array, choice, frozen, number, vector
 from armctl.model.arm.arm import Arm, check_arm, check_one_tip
-from armctl.plan.ik.region import Region
 from armctl.plan.ik.target_program import QP_SOLVERS, TargetProgram
 from armctl.plan.ik.tree_steps import TreeSteps
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.region import Region
 from armctl.core.target import RegionMember
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.model.arm.arm import Arm
@@ -16,7 +17,6 @@ from armctl.plan.ik.ik_result import IkResult, failure_reason, no_solution_witho
 from armctl.plan.ik.lm import TOLERANCE_SHARE
 from armctl.plan.ik.problem import IkChain, ik_chain, read_seed, read_starts, read_tolerance
 from armctl.plan.ik.reachability import POSITION_TOLERANCE
-from armctl.plan.ik.region import Region
 
 # Random starts of all parts together, in rounds: the next one is made where those before have found nothing (without contact).
 STARTS = (64, 256, 1024)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from armctl._core import Constraint
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
+from armctl.core.region import Region
 from armctl.core.target import TargetLike
 from armctl.core.tip_targets import TipTargets
 from armctl.core.validation import Array, flag, frozen
@@ -25,7 +26,6 @@ from armctl.plan.ik.closed_form_solutions import closed_form_solutions
 from armctl.plan.ik.ik_result import IkResult, failure_reason, no_solution_without_contact
 from armctl.plan.ik.numerical_solutions import numerical_solutions, swept_joints
 from armctl.plan.ik.problem import MIN_TOLERANCE, IkProblem, open_chain, read_seed, read_start, read_target, read_tolerance
-from armctl.plan.ik.region import Region
 
 NEAREST_STARTS = 64
 NEAREST_SAMPLE = 64  # solutions of a closed form

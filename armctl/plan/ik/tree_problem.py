@@ -14,13 +14,13 @@ from armctl import _core
 from armctl._core import Constraint
 from armctl.core.errors import InputError, UnknownNameError, few_names
 from armctl.core.pose import Pose
+from armctl.core.region import Region
 from armctl.core.tip_targets import LookAt, RelativeTo, Stay, TipTarget, TipTargets
 from armctl.core.units import length_text
 from armctl.core.validation import Array, IntArray, frozen, shown
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.mjmodel.queries import last_joint_above
 from armctl.plan.ik.problem import read_target
-from armctl.plan.ik.region import Region
 
 _WORLD = -1
 _NO_ROTATION = np.zeros(9)

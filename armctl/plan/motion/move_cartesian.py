@@ -15,12 +15,12 @@ from armctl.core.errors import InputError, PlanError
 from armctl.core.faces import with_options
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
+from armctl.core.region import Region
 from armctl.core.tip_targets import TipTargets
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.ik.all_solutions import solve_ik_all
-from armctl.plan.ik.region import Region
 from armctl.plan.motion.checks import planning_arm, read_duration
 from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.moving_start import planned_from

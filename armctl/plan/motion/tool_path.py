@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, PlanError
 from armctl.core.pose import Pose, computed_pose
+from armctl.core.region import Region, RegionPart, cone_parts, frames_along, read_surface
 from armctl.core.validation import Array, IntArray, array, choice, shown
 from armctl.model.arm.arm import Arm, check_one_tip
-from armctl.plan.ik.region import Region, RegionPart, cone_parts, frames_along, read_surface
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.path.joint_path import JointPath
 from armctl.plan.motion.path.path_segments import Turn

@@ -9,14 +9,14 @@ import numpy as np
 
 from armctl.core.errors import InputError, PlanError
 from armctl.core.pose import Pose, computed_pose
+from armctl.core.region import Region
 from armctl.core.target import Target
 from armctl.core.tip_targets import TipTargets, targets_by_tip
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
-from armctl.model.collision.moving_joints import KeptAxis
+from armctl.model.collision.kept_region import KeptRegion
 from armctl.plan.ik.reachability import ORIENTATION_TOLERANCE, POSITION_TOLERANCE
-from armctl.plan.ik.region import Region
 from armctl.plan.ik.region_solutions import SAME_CONFIGURATION, STARTS, RegionSearch
 from armctl.plan.ik.resting_joints import RestingJoints, resting_joints
 from armctl.plan.ik.solve import solve_ik
@@ -37,7 +37,7 @@ def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
 
 
 def free_goals(
-    checker: CollisionChecker, keep: KeptAxis | None, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator
+    checker: CollisionChecker, keep: KeptRegion | None, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """The free configurations of a goal, nearest to the start first, and the freest of them. Raises PlanError."""
     searches = [
@@ -54,11 +54,8 @@ def free_goals(
             search.extend(tries)
             refusals += [search.refusal] if search.refusal else []
             for q in search.found:
-                if keep is not None and (tilt := _tilt(arm, q, keep)) >= keep.within:
-                    refusals.append(
-                        f"goal: the tip's {keep.name} axis tilts by {tilt:.3g} rad from its direction at the start, "
-                        f"expected less than {keep.within:.3g}"
-                    )
+                if keep is not None and (why := _why_not_kept(keep, q)):
+                    refusals.append(f"goal: {why}")
                     continue
                 pair, distance = checker.nearest(q)
                 if distance > 0.0:
@@ -107,7 +104,7 @@ def _search_for(
     goal: Pose | Target | Region | Array | TipTargets,
     rng: np.random.Generator,
     is_free: Callable[[Array], bool],
-    keep: KeptAxis | None,
+    keep: KeptRegion | None,
 ) -> GoalSearch | RegionGoalSearch:
     if isinstance(goal, Region):
         return RegionGoalSearch(arm, start, goal, int(rng.integers(2**31)), is_free)
@@ -162,7 +159,7 @@ class GoalSearch:
         goal: Pose | Target | Array | TipTargets,
         rng: np.random.Generator,
         is_free: Callable[[Array], bool],
-        keep: KeptAxis | None = None,
+        keep: KeptRegion | None = None,
     ):
         self.found: list[Array] = []
         self.refusal = ""
@@ -183,7 +180,7 @@ class GoalSearch:
             goal = targets_by_tip(goal, {tip: arm.fk(start, tip) for tip in arm.tips})
         if keep is not None and isinstance(goal, Target) and goal.pose is None:
             goal = computed_pose(goal.position, arm.fk(start).rotation)
-            self._free_axis = keep.name
+            self._free_axis = keep.axis
         self._goal = goal
         drawn = arm.limits.random(arm.home, _MAX_IK_TRIES, rng)
         closure = arm.joint_map.closure
@@ -218,7 +215,14 @@ def _with_resting(q: Array, start: Array, resting: RestingJoints, is_free: Calla
     return idle if is_free(idle) else held
 
 
-def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:
-    """rad between the axis at a configuration and the direction that it keeps."""
-    axis = arm.fk(q).rotation[:, "xyz".index(keep.name)]
-    return float(np.arctan2(np.linalg.norm(np.cross(axis, keep.direction)), axis @ keep.direction))
+def _why_not_kept(keep: KeptRegion, q: Array) -> str:
+    """Why a goal (n,) is not in the region in which the tip stays; empty if it is."""
+    if keep.axis is None:
+        return keep.why_outside(q)
+    excess = keep.excess(q)
+    if excess < 0.0:
+        return ""
+    return (
+        f"the tip's {keep.axis} axis tilts by {keep.part.cone + excess:.3g} rad from its direction at the start, "
+        f"expected less than {keep.part.cone:.3g}"
+    )

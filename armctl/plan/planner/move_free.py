@@ -26,9 +26,10 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, integer, number, shown
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.collision.checker import CollisionChecker
-from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
+from armctl.model.collision.checkers import collision_checker
 from armctl.model.collision.clearance import PiecewiseTrajectory, clearance_of
-from armctl.model.collision.moving_joints import KeptAxis, MovingJoints
+from armctl.model.collision.kept_region import KEEP_WITHIN_RAD, KeptRegion, read_kept_region
+from armctl.model.collision.moving_joints import MovingJoints
 from armctl.model.collision.world_snapshot import WorldLike, WorldSnapshot, read_world
 from armctl.model.mjmodel.queries import object_id
 from armctl.plan.ik.resting_joints import Mask, resting_joints
@@ -58,7 +59,7 @@ class FreeSpace(NamedTuple):
 
     checker: CollisionChecker  # what may not be touched
     clearance: float = CLEARANCE_M  # m, from everything
-    keep: KeptAxis | None = None  # an axis of the tip that keeps its direction
+    keep: KeptRegion | None = None  # where the tip stays
     held: Mask | None = None  # (n,) joints that keep their positions; None for none
 
     def line_is_free(self, start: Array, end: Array) -> bool:
@@ -236,7 +237,7 @@ def move_free(
     state = start_state(arm, q_start)
     seconds = read_duration(duration)
     start = state.q
-    kept = read_kept_axis(arm, keep, keep_within, start)
+    kept = read_kept_region(arm, keep, keep_within, start)
     checker = _checker(arm, start, allow, holding, snapshot)
     if snapshot is not None:
         arm = snapshot.loaded_arm(arm)
@@ -266,6 +267,8 @@ def move_free_with(
     checker.require_provable()
     rng = np.random.default_rng(integer("seed", seed, 0))
     require_free_start(checker, start)
+    if space.keep is not None and (why := space.keep.why_outside(start)):
+        raise PlanError(f"start: {why}")
     if isinstance(goal, Mapping):
         held = resting_joints(arm, goal).held
         space = space._replace(held=held if held.any() else None)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
+from armctl.core.region import Region
 from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, matrix, number, shown, vector
@@ -19,7 +20,6 @@ from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import checkable
 from armctl.model.collision.world_snapshot import WorldLike, read_world
 from armctl.plan.ik.differential import DifferentialIk
-from armctl.plan.ik.region import Region
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory

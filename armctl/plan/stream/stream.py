@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError
 from armctl.core.pose import Pose, computed_pose
+from armctl.core.region import Region
 from armctl.core.target import Target, TargetLike
 from armctl.core.tip_targets import Stay, TipTargets, targets_by_tip
 from armctl.core.trajectory import Setpoint, TickReference
@@ -23,7 +24,6 @@ from armctl.model.collision.checkers import avoided, checkable
 from armctl.model.collision.world_snapshot import WorldLike
 from armctl.plan.ik.differential import DifferentialIk
 from armctl.plan.ik.ik_result import FAR_M
-from armctl.plan.ik.region import Region
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.checks import planning_arm, start_state
 from armctl.plan.motion.timing.end_limits import room_to_stop

@@ -13,6 +13,7 @@ from armctl.control.interface import State
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
+from armctl.core.region import Region
 from armctl.core.result import MoveResult
 from armctl.core.target import Target, TargetLike
 from armctl.core.tip_targets import TipTargets
@@ -20,10 +21,9 @@ from armctl.core.trajectory import Trajectory
 from armctl.core.validation import Array, flag, number
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.model.collision.checker import CollisionChecker
-from armctl.model.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
+from armctl.model.collision.kept_region import KEEP_WITHIN_RAD, read_kept_region
 from armctl.model.collision.world import World
 from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
-from armctl.plan.ik.region import Region
 from armctl.plan.ik.tree_problem import read_tasks
 from armctl.plan.motion.checks import read_duration
 from armctl.plan.motion.move_back import move_back
@@ -187,7 +187,7 @@ class Commands:
         region = target if isinstance(target, Region) else None
         goal = Target.read(self.tip if isinstance(target, Region) else target)
         checker = self._checker(avoid, allow)
-        kept = read_kept_axis(self.arm, keep, keep_within, self._start)
+        kept = read_kept_region(self.arm, keep, keep_within, self._start)
         if kept is not None and checker is None:
             raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
         space = None if checker is None else FreeSpace(checker, keep=kept)

@@ -14,6 +14,7 @@ from armctl.core.defaults import DEFAULT_GRIP_FORCE
 from armctl.core.errors import InputError
 from armctl.core.handling import PickResult, PlaceResult
 from armctl.core.pose import Pose, computed_pose, rotation_from_vector, rotation_vector
+from armctl.core.region import Region
 from armctl.core.result import GripResult, MoveResult
 from armctl.core.target import Target
 from armctl.core.validation import number, vector
@@ -26,7 +27,6 @@ from armctl.plan.grasp.candidates import MIN_FINGER_GAP_M, least_width
 from armctl.plan.grasp.handled_bodies import find_body
 from armctl.plan.grasp.handling_scene import HandledBody, HandlingScene
 from armctl.plan.grasp.plan_pick import HeldAt, PickPlan, PlacePlan, plan_pick, plan_place
-from armctl.plan.ik.region import Region
 from armctl.run.execution.commands import Commands
 from armctl.run.execution.move import ControlledArm, PlannedMove
 from armctl.run.execution.obstacles import Carried

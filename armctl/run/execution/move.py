@@ -15,6 +15,7 @@ from armctl.core.defaults import AT_REST_SPEED, RESTING_S, SETTLE_TIMEOUT_S
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
+from armctl.core.region import Region
 from armctl.core.result import MoveResult
 from armctl.core.target import RegionMember, Target
 from armctl.core.tip_targets import LookAt, RelativeTo, Stay, TipTargets, targets_by_tip
@@ -24,7 +25,6 @@ from armctl.core.validation import Array, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.clearance import clearance_of
-from armctl.plan.ik.region import Region
 from armctl.plan.ik.resting_joints import resting_joints
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.given_duration import lasting

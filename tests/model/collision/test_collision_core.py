@@ -106,10 +106,10 @@ def test_queries_with_arrays_of_a_wrong_length_are_refused(arm, scene):
         _core.RrtConnect(proof, 0.0, arm.home, arm.home[None], arm.home, arm.home, 10).grow(np.zeros((2, 5)))
 
 
-def test_an_axis_of_a_frame_that_does_not_exist_is_refused():
+def test_a_region_of_a_frame_that_does_not_exist_is_refused():
     proof = _core.ClearanceProof(_core.CollisionScene(tetrahedron_model()))
     with pytest.raises(armctl.InputError, match="frame: 2 is not one of 2"):
-        proof.keep_axis(np.zeros(1), 2, np.array([0.0, 0.0, 1.0]), 0.1)
+        proof.keep_region(np.zeros(1), 2, np.zeros(12), armctl.Region([0.0, 0.0, 0.0]).parts[0].numbers)
 
 
 def test_a_proof_before_a_motion_is_set_is_that_of_the_arm_at_zero():

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.errors import PlanError
+from armctl.core.region import RegionPart
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.model.arm.arm import Arm
 from armctl.plan.ik.problem import IkChain, ik_chain
-from armctl.plan.ik.region import RegionPart
 from armctl.plan.ik.region_solutions import SAME_CONFIGURATION
 from armctl.plan.ik.solve import solve_ik
 

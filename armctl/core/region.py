@@ -56,6 +56,36 @@ class RegionPart:
             [self.frame.rows.ravel(), self.tip.rows.ravel(), self.bounds.ravel(), [axis, self.cone if axis >= 0.0 else 0.0]]
         )
 
+    @property
+    def coordinate_names(self) -> list[tuple[str, str]]:
+        """What each coordinate is called, and its unit: six with bounds of angles, four with a free axis."""
+        lengths = [(name, "m") for name in _COORDINATES[:3]]
+        return [*lengths, *[(name, "rad") for name in (_COORDINATES[_ANGLES] if self.free is None else ("tilt",))]]
+
+    @property
+    def coordinate_bounds(self) -> Array:
+        """(6, 2) or (4, 2) the least and the greatest of each coordinate, m and rad; angles without bounds are infinite."""
+        if self.free is not None:
+            return np.vstack([self.bounds[:3], [-np.inf, self.cone if self.cone < math.pi else np.inf]])
+        bounds = self.bounds.copy()
+        for row, turn in ((3, 2 * np.pi), (4, np.pi), (5, 2 * np.pi)):
+            if bounds[row, 1] - bounds[row, 0] >= turn:
+                bounds[row] = [-np.inf, np.inf]
+        return bounds
+
+    def coordinates(self, tip: Pose) -> Array:
+        """The coordinates of a tip, which are in their bounds if it is in the region.
+
+        Args:
+            tip: T_world_tip.
+
+        Returns:
+            (6,) x, y, z, m, and roll, pitch, yaw, rad; with a free axis (4,) x, y, z and the tilt.
+        """
+        found = np.empty((1, len(_COORDINATES)))
+        _core.region_coordinates(self.numbers, np.ascontiguousarray(tip.rows.reshape(1, 12)), found)
+        return found[0, : len(self.coordinate_names)]
+
     def nearest(self, tip: Pose) -> Pose:
         """The member with the nearest coordinates to those of a pose of the tip: turned into the region first, then moved.
 
@@ -245,6 +275,23 @@ class Region:
         top = place @ Pose([0.0, 0.0, extent[2] + number("height", height)])
         bounds = [[-half[0], half[0]], [-half[1], half[1]], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [-np.inf, np.inf]]
         return cls(top, bounds, tip=_IDENTITY if flag("upright", upright) else _DOWN, name=name)
+
+    @classmethod
+    def upright(cls, tip: Pose, axis: str = "z", *, cone: float = 0.1, name: str = "") -> Region:
+        """All poses in which an axis of the tip has the direction that it has in one pose, as for a glass that is carried.
+
+        Args:
+            tip: T_world_tip with this direction, such as `arm.fk(q)`; its position does not matter.
+            axis: "x", "y" or "z": the axis of the tip. The tip turns freely about it.
+            cone: rad, by which the axis may tilt.
+            name: What it is called in results.
+
+        Raises:
+            InputError: There is no such axis, or a cone of more than half a turn.
+        """
+        instance("tip", tip, Pose, "arm.fk returns one")
+        bounds = [[-np.inf, np.inf]] * 3 + [[0.0, 0.0]] * 3
+        return cls(tip, bounds, free=choice("axis", axis, "xyz"), cone=cone, name=name)
 
     def __array__(self, dtype: object = None, copy: object = None) -> Array:
         """Refused, where one pose is taken and not a set of them."""
