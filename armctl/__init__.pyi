@@ -110,6 +110,8 @@ from .lab.loops.stability import LoopMargins as LoopMargins
 from .lab.loops.stability import PhaseCrossover as PhaseCrossover
 from .lab.loops.tuning import Tuning as Tuning
 from .lab.loops.tuning import tune as tune
+from .lab.robot_comparison import RobotComparison as RobotComparison
+from .lab.robot_comparison import compare_on_robot as compare_on_robot
 from .lab.study.factors import Choice as Choice
 from .lab.study.factors import Normal as Normal
 from .lab.study.factors import Range as Range

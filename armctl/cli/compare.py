@@ -1,4 +1,4 @@
-"""`armctl compare ROBOT`: the same motion under several controllers, on several plants."""
+"""`armctl compare ROBOT`: the same motion under several controllers, on several plants, or on a robot beside its simulation."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.cli import common, outputs
+from armctl.cli.robot import add_link, link_from
 from armctl.control import CONTROLLERS
+from armctl.core.errors import InputError
 
 if TYPE_CHECKING:
     from armctl.control.interface import Controller
     from armctl.model.arm.arm import Arm
     from armctl.report.report import Report
+    from armctl.run.links.link import Link
     from armctl.run.sim.plant import Plant
 
 _MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
@@ -24,7 +28,13 @@ _EXAMPLES = (
     "panda",
     "panda --controllers all --plants nominal,payload=1,delay=2 --out run",
     "ur5e --delay-margin 0.01 --json",
+    "fr3 --robot 172.16.0.2 --controllers pd-gravity,computed-torque --identify",
 )
+_PLANTS = "nominal"
+_SPEED = "1"
+_ROBOT_SPEED = "0.2"
+_DWELL_S = "10"
+_ROBOT_DWELL_S = "1"
 
 
 def add(commands: common.Commands) -> None:
@@ -37,7 +47,7 @@ def add(commands: common.Commands) -> None:
         help="all, or some of those below (default %(default)s)",
     )
     common.list_controllers(parser)
-    parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{common.PLANTS_HELP} (default nominal)")
+    parser.add_argument("--plants", default=_PLANTS, metavar="A,B,...", help=f"{common.PLANTS_HELP} (default %(default)s)")
     parser.add_argument(
         "--encoder-noise",
         metavar="RAD",
@@ -54,8 +64,7 @@ def add(commands: common.Commands) -> None:
     parser.add_argument(
         "--dwell",
         metavar="S",
-        default="10",
-        help="seconds for which the end is held at most, until the arm rests (default %(default)s)",
+        help="seconds for which the end is held at most, until the arm rests (default 10); all of 1 s on a robot",
     )
     parser.add_argument(
         "--delay-margin",
@@ -70,40 +79,112 @@ def add(commands: common.Commands) -> None:
         default=os.cpu_count() or 1,
         help="number of threads (default one per processor core)",
     )
-    common.add_speed(parser)
+    parser.add_argument("--speed", metavar="FRACTION", help="fraction of full speed, in (0, 1] (default 1, on a robot 0.2)")
+    parser.add_argument(
+        "--robot",
+        dest="host",
+        metavar="HOST",
+        help="run the motion on a robot that takes torques, and in its simulation: the address of the robot",
+    )
+    add_link(parser)
+    parser.add_argument("--tip-speed", metavar="M/S", default="0.25", help="greatest speed of a robot's tip (default 0.25)")
+    parser.add_argument(
+        "--identify", action="store_true", help="identify the arm from one more run of the robot, and compare again"
+    )
     common.add_json(parser)
     outputs.add_out(parser, "the table as JSON, Markdown and a page, and the log and plot of each run")
 
 
 def run(args: argparse.Namespace) -> int:
-    speed = common.speed_from(args.speed)
-    from armctl.cli.plants import plant_by_name
-    from armctl.core.validation import number
+    speed = common.speed_from(args.speed or (_ROBOT_SPEED if args.host else _SPEED))
+    if args.host:
+        return _on_robot(args, speed)
+    if args.identify:
+        raise InputError("identify: it identifies the arm from a run of a robot; give --robot HOST")
     from armctl.lab.comparison import compare, out_and_back, remarks
-    from armctl.lab.comparison_html import write_comparison
-    from armctl.report.report import report_table
 
     arm = common.load_arm(args)
-    timestep = common.timestep_from(args)
+    plants = _plants(args, arm)
     controllers = common.controllers_from(args.controllers)
-    noise = number("encoder_noise", common.one_number("encoder_noise", args.encoder_noise), 0.0)
-    dwell = number("dwell", common.one_number("dwell", args.dwell), 0.0)
-    plants = [plant_by_name(name, arm, timestep) for name in common.names(args.plants)]
-    plants = [each if each.encoder_noise else replace(each, encoder_noise=noise, name=str(each)) for each in plants]
+    dwell = _dwell(args)
     folders = outputs.make_folders(args)  # one that cannot be made is reported before the runs
     laws, notes = _tuned(args, arm, controllers, plants) if args.delay_margin else (controllers, [])
     motion = out_and_back(arm, speed=speed)
     reports = compare(arm, laws, motion, plants, threads=args.threads, configurations=args.configurations, dwell=dwell)
-    notes += remarks(reports)
+    _give(args, arm, reports, notes + remarks(reports), folders)
+    return common.DONE
+
+
+def _on_robot(args: argparse.Namespace, speed: float) -> int:
+    """Compares on a robot, and in its simulation; whether every law ran to its end without a fault does not matter."""
+    tip_speed = common.one_number("tip_speed", args.tip_speed)
+    payload = common.one_number("payload", args.payload)
+    dwell = _dwell(args)
+    if args.delay_margin:
+        raise InputError(
+            "delay_margin: on a robot, laws have their default gains; leave it out, or use armctl.compare_on_robot"
+        )
+    from armctl.lab.robot_comparison import compare_on_robot
+    from armctl.run.links.plant_link import PlantLink
+
+    arm = common.load_arm(args)
+    controllers = common.controllers_from(args.controllers)
+    plants = _plants(args, arm)
+    if args.link == "plant":
+        if len(plants) != 1:
+            raise InputError(f"plants: a simulated robot is one plant, got {len(plants)}")
+        link: Link = PlantLink(arm, plants[0], payload=payload, real_time=True)
+    elif args.plants != _PLANTS or args.timestep:
+        raise InputError("plants: a robot is what it is; leave --plants and --timestep out, or give --link plant")
+    else:
+        link = link_from(args, arm, payload)
+    folders = outputs.make_folders(args)
+    reports = compare_on_robot(
+        arm,
+        link,
+        controllers,
+        identified=args.identify,
+        speed=speed,
+        tip_speed=tip_speed,
+        payload=payload,
+        configurations=args.configurations,
+        dwell=dwell,
+    )
+    _give(args, arm, reports, reports.remarks(), folders)
+    return common.DONE
+
+
+def _plants(args: argparse.Namespace, arm: Arm) -> list[Plant]:
+    from armctl.cli.plants import plant_by_name
+    from armctl.core.validation import number
+
+    timestep = common.timestep_from(args)
+    noise = number("encoder_noise", common.one_number("encoder_noise", args.encoder_noise), 0.0)
+    plants = [plant_by_name(name, arm, timestep) for name in common.names(args.plants)]
+    return [each if each.encoder_noise else replace(each, encoder_noise=noise, name=str(each)) for each in plants]
+
+
+def _dwell(args: argparse.Namespace) -> float:
+    from armctl.core.validation import number
+
+    default = _ROBOT_DWELL_S if args.host else _DWELL_S
+    return number("dwell", common.one_number("dwell", args.dwell or default), 0.0)
+
+
+def _give(args: argparse.Namespace, arm: Arm, reports: Sequence[Report], notes: list[str], folders: Sequence[Path]) -> None:
+    """Prints notes and the table, and writes the files."""
+    from armctl.lab.comparison_html import write_comparison
+    from armctl.report.report import report_table
+
     if notes:
         notes.append("")
     common.print_result(args, "\n".join([*notes, report_table(reports).text(keys=2)]), [r.to_dict() for r in reports])
     for folder in folders:
         for path in write_comparison(reports, folder, "All joints out and back", film_of=arm):
             outputs.say_written(path)
-    for report, prefix in zip(reports, _file_prefixes(reports), strict=True):
+    begun = [report for report in reports if len(report.log)]
+    for report, prefix in zip(begun, _file_prefixes(begun), strict=True):
         outputs.write_outputs(args, outputs.report_outputs(report, prefix))
-    return common.DONE
 
 
 def _tuned(

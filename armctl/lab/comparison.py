@@ -69,8 +69,8 @@ def compare(
     names = [each if isinstance(each, str) else traits(each).name for each in controllers]
     pairs = [
         _Pair(controller, plant, controller_label, plant_label)
-        for plant, plant_label in zip(plants, _distinct(map(str, plants)), strict=True)
-        for controller, controller_label in zip(controllers, _distinct(names), strict=True)
+        for plant, plant_label in zip(plants, distinct_names(map(str, plants)), strict=True)
+        for controller, controller_label in zip(controllers, distinct_names(names), strict=True)
     ]
     configurations = integer("configurations", configurations, 0)
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
@@ -148,7 +148,7 @@ def _with_margins(arm: Arm, pair: _Pair, report: Report, configurations: int) ->
     )
 
 
-def _distinct(names: Iterable[str]) -> list[str]:
+def distinct_names(names: Iterable[str]) -> list[str]:
     """The names, with a number where a name occurs again."""
     count: Counter[str] = Counter()
     labels = []

@@ -51,9 +51,10 @@ def _page(title: str, conditions: str, notes: Sequence[str], reports: Sequence[R
     marks = "<p>The best values of each plant are <mark>marked</mark>.</p>"
     elements = [html_page.paragraph(conditions), *map(html_page.remark, notes), marks]
     for plant, group in Comparison(reports).plants().items():
-        film = "" if film_of is None else _film(group, film_of)
+        begun = [report for report in group if len(report.log)]
+        film = "" if film_of is None or not begun else _film(begun, film_of)
         elements.append(html_page.heading(plant))
-        figure = figure_svg(lambda figure, group=group: _draw(figure, group), (13, 4.2))
+        figure = figure_svg(lambda figure, begun=begun: _draw(figure, begun), (13, 4.2)) if begun else ""
         elements.append(f'<div class="columns">{html_page.table(marked_table(group))}{film}</div>{figure}')
     return html_page.page(title, *elements)
 

@@ -40,7 +40,7 @@ class Report(Verdict):
     Attributes:
         ok: Whether the run was completed and the tip was at its goal at the end.
         reason: The reason if it is not ok; empty if it is.
-        outcome: "reached", "not reached", "not reached, not yet at rest" or "failed".
+        outcome: "reached", "not reached", "not reached, not yet at rest", "failed", or "not run" without a tick.
         verdict: The result in one sentence, which begins with the outcome.
         plant: The differences of the plant from the model.
         joint_rms_rad: Root mean square of q_ref - q over ticks and hinge joints, while the reference moves; NaN without hinges.
@@ -166,6 +166,43 @@ class Report(Verdict):
             log=log,
         )
 
+    @classmethod
+    def not_run(cls, log: Log) -> Report:
+        """The report of a run that did not begin, whose log has no tick, and the reason as its failure.
+
+        Raises:
+            InputError: The log has ticks, or no failure.
+        """
+        instance("log", log, Log, "that of a run that did not begin")
+        if len(log) or not log.failure:
+            raise InputError(f"log: it has {len(log)} ticks and the failure {log.failure!r:.80}; Report.from_log reads it")
+        return cls(
+            ok=False,
+            reason=log.failure,
+            outcome="not run",
+            verdict=f"not run: {log.failure}",
+            robot=log.robot,
+            controller=log.controller,
+            plant=log.plant,
+            joint_rms_rad=math.nan,
+            joint_max_rad=math.nan,
+            joint_rms_m=math.nan,
+            joint_max_m=math.nan,
+            tip_rms_m=math.nan,
+            tip_max_m=math.nan,
+            final_tip_error_m=math.nan,
+            final_orientation_error_rad=math.nan,
+            settling_time_s=math.nan,
+            overshoot_m=math.nan,
+            peak_torque_ratio=math.nan,
+            saturated_fraction=math.nan,
+            chatter_nm=math.nan,
+            contacts=(),
+            duration_s=0.0,
+            real_time_factor=math.nan,
+            log=log,
+        )
+
     def to_dict(self) -> dict[str, object]:
         """Every attribute but the log by name, for JSON: NaN and infinity become None."""
         figures = {k: v for k, v in self.__dict__.items() if k != "log"}
@@ -214,6 +251,8 @@ class Report(Verdict):
         return rows
 
     def __str__(self) -> str:
+        if not len(self.log):
+            return self.verdict
         return "\n".join([self.verdict, *(f"  {label:11}  {text}" for label, text in self._rows().items())])
 
     def _repr_html_(self) -> str:
@@ -269,11 +308,11 @@ def report_columns(reports: Sequence[Report], *, with_plant: bool = True) -> lis
             lambda r: _joint_error(r.joint_max_rad, r.joint_max_m, with_unit=mixed),
             lambda r: r.joint_max_rad,
         ),
-        ReportColumn("tip RMS", lambda r: length_text(r.tip_rms_m), lambda r: r.tip_rms_m),
-        ReportColumn("tip max", lambda r: length_text(r.tip_max_m), lambda r: r.tip_max_m),
-        ReportColumn("final tip error", lambda r: length_text(r.final_tip_error_m), lambda r: r.final_tip_error_m),
+        ReportColumn("tip RMS", lambda r: _length_cell(r.tip_rms_m), lambda r: r.tip_rms_m),
+        ReportColumn("tip max", lambda r: _length_cell(r.tip_max_m), lambda r: r.tip_max_m),
+        ReportColumn("final tip error", lambda r: _length_cell(r.final_tip_error_m), lambda r: r.final_tip_error_m),
         ReportColumn("settled, s", lambda r: _margin_text(r.settling_time_s), lambda r: r.settling_time_s),
-        ReportColumn("peak torque", lambda r: f"{100 * r.peak_torque_ratio:.0f} %"),
+        ReportColumn("peak torque", lambda r: _percent_text(r.peak_torque_ratio)),
         ReportColumn(f"chatter, {torque}", lambda r: _chatter_text(r.chatter_nm)),
     ]
     if not all(math.isnan(r.peak_sensitivity) for r in reports):
@@ -389,6 +428,14 @@ def _margin_text(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.3g}"
 
 
+def _length_cell(length: float) -> str:
+    return "-" if math.isnan(length) else length_text(length)
+
+
+def _percent_text(share: float) -> str:
+    return "-" if math.isnan(share) else f"{100 * share:.0f} %"
+
+
 def _chatter_text(chatter: float) -> str:
     if math.isnan(chatter):
         return "-"
@@ -399,7 +446,8 @@ def _joint_error(hinges: float, slides: float, *, with_unit: bool) -> str:
     """The error of the hinge joints and that of the slide joints, of those that the arm has."""
     known = [(value, unit) for value, unit in ((hinges, "rad"), (slides, "m")) if not math.isnan(value)]
     texts = ["<1e-15" if value < _MIN_JOINT_ERROR_SHOWN else f"{value:.1e}" for value, _ in known]
-    return " and ".join(f"{text} {unit}" if with_unit else text for text, (_, unit) in zip(texts, known, strict=True))
+    words = [f"{text} {unit}" if with_unit else text for text, (_, unit) in zip(texts, known, strict=True)]
+    return " and ".join(words) or "-"
 
 
 def _deg(angle: float) -> str:

@@ -20,6 +20,7 @@ from armctl.cli.main import command_parser, main, with_options
 from armctl.control import CONTROLLERS
 from armctl.core.tables import PIPE_COLUMNS, Table, folded
 from armctl.model.loading.datasheets import ROWS
+from armctl.run.links import plant_link
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
@@ -405,6 +406,16 @@ WRONG_CALLS = {
     "no controllers": (["compare", BUNDLED, "--controllers", ""], "expected a list of at least one of each"),
     "no plants": (["compare", BUNDLED, "--plants", ","], "expected a list of at least one of each"),
     "no folder": (["compare", BUNDLED, "--out", "/dev/null/x"], "/dev/null/x: Not a directory"),
+    "a plant that is a robot": (
+        ["compare", BUNDLED, "--robot", "host", "--plants", "friction"],
+        "plants: a robot is what it is",
+    ),
+    "several plants at once": (
+        ["compare", BUNDLED, "--robot", "x", "--link", "plant", "--plants", "nominal,friction"],
+        "plants: a simulated robot is one plant, got 2",
+    ),
+    "gains for no robot": (["compare", BUNDLED, "--robot", "host", "--delay-margin", "0.01"], "--delay-margin: on a robot"),
+    "nothing to identify": (["compare", BUNDLED, "--identify"], "identify: it identifies the arm from a run of a robot"),
     "unknown tip": (["reach", BUNDLED, "--tip", "end_efector"], "did you mean 'end_effector'?"),
 }
 
@@ -521,6 +532,21 @@ def test_reach_takes_a_speed(capsys):
         assert status == 0, err
         durations.append(json.loads(out)["result"]["duration_s"])
     assert durations[1] > 1.5 * durations[0]
+
+
+def test_compare_on_a_robot_shows_it_beside_its_simulation(capsys, monkeypatch, tmp_path):
+    simulated = plant_link.PlantLink
+    monkeypatch.setattr(plant_link, "PlantLink", lambda *given, **more: simulated(*given, **(more | {"real_time": False})))
+    chosen = ["--robot", "here", "--link", "plant", "--plants", "mass=1.2", "--timestep", "0.004", "--speed", "0.5"]
+    quick = ["--tip-speed", "1", "--configurations", "0", "--dwell", "0.1", "--controllers", "mpc,pd-gravity"]
+    status, out, _ = run(capsys, "compare", BUNDLED, *chosen, *quick, "--json", "--out", str(tmp_path))
+    assert status == 0
+    rows = json.loads(out)["result"]
+    found = [(row["controller"], row["plant"], row["outcome"]) for row in rows]
+    assert found[0] == ("mpc", f"robot: simulated {BUNDLED}", "not run")
+    assert [each[:2] for each in found[1:]] == [("pd-gravity", f"robot: simulated {BUNDLED}"), ("pd-gravity", "simulation")]
+    assert rows[1]["joint_rms_rad"] > 0.0
+    assert len(list(tmp_path.glob("pd-gravity-*log.npz"))) == 2
 
 
 def test_compare_refuses_what_it_does_not_know(capsys):

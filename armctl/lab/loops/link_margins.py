@@ -40,9 +40,10 @@ def why_not_borne(arm: Arm, controller: Controller, q: Array, dt: float, delay: 
         ModelError: The controller fails at a configuration, or no linear model describes it.
     """
     own = traits(controller)
-    ticks = max(0, math.ceil(delay / dt - _WHOLE_TICK))
-    linearizer = Linearizer(arm, Plant(delay=ticks, motor=lag, timestep=dt, continuous=True))
-    where = f"at the link's delay of {1e3 * ticks * dt:.3g} ms" + (f" and lag of {1e3 * lag:.3g} ms" if lag else "")
+    linearizer = Linearizer(arm, plant_behind_link(dt, delay, lag))
+    where = f"at the link's delay of {1e3 * linearizer.plant.delay * dt:.3g} ms" + (
+        f" and lag of {1e3 * lag:.3g} ms" if lag else ""
+    )
     remedy = "lower its gains"
     named = CONTROLLERS.get(own.name)
     if named is not None and named.tunable_gains is not None:
@@ -72,6 +73,12 @@ def why_not_borne(arm: Arm, controller: Controller, q: Array, dt: float, delay: 
         if reason:
             return f"controller: {reason} (q = {np.round(configuration, 2).tolist()}); {remedy}"
     return ""
+
+
+def plant_behind_link(dt: float, delay: float, lag: float) -> Plant:
+    """The plant that is like a robot behind a link with a tick of dt s, a delay and a lag of its torques, s each."""
+    ticks = max(0, math.ceil(delay / dt - _WHOLE_TICK))
+    return Plant(delay=ticks, motor=lag, timestep=dt, continuous=True)
 
 
 class _InFreeSpace:

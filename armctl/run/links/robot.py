@@ -17,8 +17,8 @@ from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
-from armctl.core.trajectory import Trajectory
-from armctl.core.validation import flag, number, shown
+from armctl.core.trajectory import Trajectory, check_motion
+from armctl.core.validation import flag, instance, number, shown
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker, why_not_checkable
 from armctl.model.gripper.gripper_model import GripperModel, find_gripper_model
@@ -284,6 +284,26 @@ class Robot(HandCommands):
             )
         return self._rehearsed(super().run(trajectory, dwell))
 
+    def slowed(self, trajectory: JointTrajectory) -> JointTrajectory:
+        """A motion on the same path, as slow as the robot demands: moves are slowed down so, but `run` sends a motion as it is.
+
+        Args:
+            trajectory: The motion.
+
+        Returns:
+            The motion itself if it is slow enough; otherwise one at which the tip keeps `tip_speed`, and the joints the speeds
+            that the maker allows where they are.
+
+        Raises:
+            InputError: It is no JointTrajectory, it is of other joints, or it would take more than fifty times as long.
+        """
+        instance("trajectory", trajectory, JointTrajectory, "armctl.move_j returns one")
+        check_motion(trajectory, self.arm.joint_names)
+        share, joint = self._speed_share(trajectory.pieces)
+        if share < _SLOWEST:
+            raise InputError(f"trajectory: {_too_slow(joint)}; choose another motion")
+        return trajectory if share >= 1.0 else trajectory.scaled(share)
+
     def follow(self, target: MovingTarget = TARGET, *, duration: float = 10.0) -> Log:
         """Follows a moving target, as that of a Simulation; every motion to a goal is proved and checked before it is sent.
 
@@ -396,10 +416,7 @@ class Robot(HandCommands):
         if share >= 1.0:
             return move
         if share < _SLOWEST:
-            reason = (
-                f"{joint} would be so near to the end of its range that the robot allows it no speed; choose another target"
-            )
-            return replace(move, trajectory=None, refusal=reason)
+            return replace(move, trajectory=None, refusal=f"{_too_slow(joint)}; choose another target")
         return replace(move, trajectory=trajectory.scaled(share))
 
     def _speed_share(self, pieces: Pieces) -> tuple[float, str]:
@@ -414,3 +431,8 @@ class Robot(HandCommands):
     def _unlock(self) -> None:
         if self._lock is not None:
             self._lock.close()
+
+
+def _too_slow(joint: str) -> str:
+    """Why a motion may not be sent at any speed."""
+    return f"{joint} would be so near to the end of its range that the robot allows it no speed"
