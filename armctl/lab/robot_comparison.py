@@ -26,8 +26,8 @@ from armctl.run.links.link import Link, check_link
 from armctl.run.links.robot import Robot
 from armctl.run.sim.plant import WITH_ENCODER, Plant
 
-_MODEL_LAWS = ""
-_IDENTIFIED_LAWS = "; laws of the identified arm"
+_LAWS_OF_MODEL = ""
+_LAWS_OF_IDENTIFIED = "; laws of the identified arm"
 _FURTHER_LAWS = "not run, because the robot has a fault since an earlier run"
 
 
@@ -40,7 +40,13 @@ class RobotComparison(Comparison):
     """
 
     def __init__(self, reports: Iterable[Report], delay: float, estimate: ArmEstimate | None):
-        """A comparison of some reports."""
+        """A comparison of some reports.
+
+        Args:
+            reports: The reports, those of the robot first.
+            delay: As the attribute.
+            estimate: As the attribute.
+        """
         super().__init__(reports)
         self.delay = delay
         self.estimate = estimate
@@ -127,11 +133,11 @@ def compare_on_robot(
     known = arm if estimate is None or not estimate else estimate.applied_to(arm)
     name = "simulation" if known is arm else "simulation of the identified arm"
     plant = bench.plant(max((run.delay for run in runs if run.delay >= 0.0), default=0.0), payload if known is arm else 0.0)
-    reports = _beside(runs, _MODEL_LAWS, known, motion, replace(plant, name=name), configurations, dwell)
+    reports = _beside(runs, _LAWS_OF_MODEL, known, motion, replace(plant, name=name), configurations, dwell)
     if known is not arm:
         again = bench.runs(_laws(known, [given for given in controllers if isinstance(given, str)]), motion, dwell)
-        plant = replace(plant, name=name + _IDENTIFIED_LAWS)
-        reports += _beside(again, _IDENTIFIED_LAWS, known, motion, plant, configurations, dwell)
+        plant = replace(plant, name=name + _LAWS_OF_IDENTIFIED)
+        reports += _beside(again, _LAWS_OF_IDENTIFIED, known, motion, plant, configurations, dwell)
         runs += again
     delay = max((run.delay for run in runs if run.delay >= 0.0), default=np.nan)
     return RobotComparison(reports, delay, estimate)
