@@ -14,6 +14,8 @@ constexpr double LEVEL_SHARE = 0.5;  // of the permitted tilt, or of a region, w
 constexpr double MAX_MARGIN = 0.01;  // m or rad, at a limit of a wide region: a line that leaves it there is not taken
 constexpr double LEVEL_TOLERANCE_RAD = 1e-6;
 constexpr int LEVEL_STEPS = 8;
+constexpr int REGION_STEPS = 24;   // the same into a region with several limits, which may come and go on the way
+constexpr double AIM_SHARE = 0.2;  // of the margin at such a limit: a step aims farther inside by it, or would end at its edge
 constexpr double LEVEL_DAMPING = 1e-6;
 
 using Configuration = std::vector<double>;  // (n,) rad
@@ -177,7 +179,8 @@ private:
     // whether it could. Newton steps on the limits that the tip is beyond.
     bool level(Result q) {
         CollisionScene& scene = proof_->scene();
-        for (int step = 0; step < LEVEL_STEPS; ++step) {
+        const int steps = keep()->limits().empty() ? LEVEL_STEPS : REGION_STEPS;
+        for (int step = 0; step < steps; ++step) {
             scene.find_positions(q, end_);
             scene.place_frames(end_);
             const std::vector<Excess> beyond = excesses();
@@ -190,7 +193,7 @@ private:
 
     // How far the tip is outside the inner part of its region in one direction, and how fast each joint (n,) decreases it.
     struct Excess {
-        double excess;  // m or rad
+        double aim;  // m or rad, by which it should decrease
         Numbers decrease;
     };
 
@@ -200,12 +203,17 @@ private:
         std::vector<Excess> found;
         if (region.axis()) {
             const double excess = region.tilt(scene) - LEVEL_SHARE * region.axis()->within;
-            if (excess > LEVEL_TOLERANCE_RAD) { found.push_back({excess, scene.reduced_gradient(region.tilt_decrease(scene))}); }
+            if (excess > LEVEL_TOLERANCE_RAD) {
+                found.push_back({excess + LEVEL_TOLERANCE_RAD, scene.reduced_gradient(region.tilt_decrease(scene))});
+            }
         }
         for (const RegionLimit& limit : region.limits()) {
             const HalfSpace& space = region.best_of(scene, limit);
-            const double excess = std::min(0.5 * LEVEL_SHARE * limit.thickness, MAX_MARGIN) - region.inside(scene, space);
-            if (excess > LEVEL_TOLERANCE_RAD) { found.push_back({excess, scene.reduced_gradient(region.gradient(scene, space))}); }
+            const double margin = std::min(0.5 * LEVEL_SHARE * limit.thickness, MAX_MARGIN);
+            const double excess = margin - region.inside(scene, space);
+            if (excess > LEVEL_TOLERANCE_RAD) {
+                found.push_back({excess + AIM_SHARE * margin, scene.reduced_gradient(region.gradient(scene, space))});
+            }
         }
         return found;
     }
@@ -216,7 +224,7 @@ private:
         Mat square(count, count);
         Numbers scales(count);
         for (size_t i = 0; i < count; ++i) {
-            scales[i] = beyond[i].excess + LEVEL_TOLERANCE_RAD;
+            scales[i] = beyond[i].aim;
             for (size_t k = 0; k <= i; ++k) { square(i, k) = dot(beyond[i].decrease, beyond[k].decrease); }
             square(i, i) += LEVEL_DAMPING;
         }

@@ -41,6 +41,11 @@ class KeptRegion:
         """T_world_tip at `q`."""
         return self.arm.fk(self.q)
 
+    @property
+    def only_tilts(self) -> bool:
+        """Whether the region limits nothing but the tilt of an axis."""
+        return self.part.free is not None and not np.isfinite(self.part.bounds[:3]).any()
+
     def excess(self, q: Array) -> float:
         """m or rad, how far the tip at q (n,) is outside in its worst coordinate; negative inside."""
         coordinates = self.part.coordinates(self.arm.fk(q))
@@ -60,7 +65,7 @@ class KeptRegion:
         high = bounds[worst, 1]
         where = f"its {name} is {coordinates[worst]:.6g} {unit}"
         allowed = f"[{low:.6g}, {high:.6g}]"
-        if excess > 0.0:
+        if excess > _EDGE:
             return f"the tip is outside the region: {where}, {excess:.3g} {unit} outside {allowed}"
         return f"the tip is at the edge of the region: {where}, expected it at least {_EDGE:g} {unit} inside {allowed}"
 

@@ -18,7 +18,8 @@ from armctl.plan.grasp.attempts import Failures, ProvedMotion, Ways, line, longe
 from armctl.plan.grasp.candidates import FINGER_GAP_M, candidates
 from armctl.plan.grasp.configurations import Configurations, Reached
 from armctl.plan.grasp.handling_scene import SUPPORT_GAP_M, HandlingScene
-from armctl.plan.planner.move_free import FreeSpace, move_free_with
+from armctl.plan.planner.free_space import FreeSpace
+from armctl.plan.planner.move_free import move_free_with
 
 _MAX_POSES = 1000  # that are tried
 _NARROW_GAP_M = 0.012  # on either side of the body, of a gripper that opens no farther among other things

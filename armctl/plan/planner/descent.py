@@ -12,7 +12,7 @@ from armctl._core import Hit
 from armctl.core.validation import Array
 from armctl.plan.motion.torque_limits import TORQUE_MARGIN
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.plan.planner.move_free import FreeSpace
+from armctl.plan.planner.free_space import FreeSpace
 from armctl.plan.planner.transcription import SAMPLES, Derived, States, Transcription, Values, joined_values
 
 _ITERATIONS = 25

@@ -24,6 +24,7 @@ from armctl.plan.ik.solve import solve_ik
 _IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
 _MAX_IK_TRIES = 500  # as long as no solution is free
 MAX_ROOTS = 8  # of the goal tree, for each pose or point
+_GOAL_ROOM = 0.05  # of the range of an angle in which the tip stays, beside its limits
 MAX_REGION_ROOTS = 24  # for each region
 
 FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: the type ArrayLike includes Sequence
@@ -106,9 +107,22 @@ def _search_for(
     is_free: Callable[[Array], bool],
     keep: KeptRegion | None,
 ) -> GoalSearch | RegionGoalSearch:
+    if keep is not None and keep.part.free is None and isinstance(goal, Target) and goal.pose is None:
+        goal = _kept_at(keep, goal.position, arm.fk(start))
     if isinstance(goal, Region):
         return RegionGoalSearch(arm, start, goal, int(rng.integers(2**31)), is_free)
     return GoalSearch(arm, start, goal, rng, is_free, keep)
+
+
+def _kept_at(keep: KeptRegion, position: Array, tip: Pose) -> Pose | Region:
+    """Where a tip at a position (3,) m is in a region: with the orientation it has now, or any that the region has."""
+    part = keep.part
+    if part.tip.position.any():  # the position goes with the orientation
+        return part.nearest(computed_pose(position, tip.rotation))
+    bounds = part.bounds.copy()
+    bounds[:3] = 0.0
+    bounds[3:] += _GOAL_ROOM * (bounds[3:, 1:] - bounds[3:, :1]) * np.array([1.0, -1.0])
+    return Region(computed_pose(position, part.frame.rotation), bounds, tip=part.tip)
 
 
 class RegionGoalSearch:
@@ -180,7 +194,7 @@ class GoalSearch:
             goal = targets_by_tip(goal, {tip: arm.fk(start, tip) for tip in arm.tips})
         if keep is not None and isinstance(goal, Target) and goal.pose is None:
             goal = computed_pose(goal.position, arm.fk(start).rotation)
-            self._free_axis = keep.axis
+            self._free_axis = keep.part.free
         self._goal = goal
         drawn = arm.limits.random(arm.home, _MAX_IK_TRIES, rng)
         closure = arm.joint_map.closure

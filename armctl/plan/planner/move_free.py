@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from itertools import pairwise
 from typing import NamedTuple
@@ -19,20 +19,21 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl._core import Hit, RrtConnect
+from armctl._core import RrtConnect
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.limits import Limits
+from armctl.core.region import Region
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, integer, number, shown
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import collision_checker
-from armctl.model.collision.clearance import PiecewiseTrajectory, clearance_of
-from armctl.model.collision.kept_region import KEEP_WITHIN_RAD, KeptRegion, read_kept_region
+from armctl.model.collision.clearance import clearance_of
+from armctl.model.collision.kept_region import KEEP_WITHIN_RAD, read_kept_region
 from armctl.model.collision.moving_joints import MovingJoints
 from armctl.model.collision.world_snapshot import WorldLike, WorldSnapshot, read_world
 from armctl.model.mjmodel.queries import object_id
-from armctl.plan.ik.resting_joints import Mask, resting_joints
+from armctl.plan.ik.resting_joints import resting_joints
 from armctl.plan.motion.checks import planning_arm, read_duration, start_state
 from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.move_j import move_j
@@ -40,65 +41,18 @@ from armctl.plan.motion.move_through import through_waypoints
 from armctl.plan.motion.moving_start import begun_moving, begun_moving_lasting, stop_from
 from armctl.plan.motion.torque_limits import within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.plan.planner.free_space import CLEARANCE_M, FreeSpace, spaces_between
 from armctl.plan.planner.goals import FreeGoal, free_goals, overlap_in_words
+from armctl.plan.planner.region_motion import motion_in_region
 
-_MIN_CLEARANCE_M = 1e-5  # of a motion, where start and goal leave it: how fine a proof is follows from the clearance
 _REPAIRS = 14  # points that are added where a smooth motion leaves the free path
 _REPAIR_MARGIN = 0.25  # of a line: an added point keeps so far from its ends
 
-CLEARANCE_M = 2e-3
 MAX_SAMPLES = 20_000
 _SAMPLES_PER_CALL = 256  # between two calls of the core the program can be interrupted
 _SHORTCUTS = 100
 _MIN_GAIN = 1e-3  # of the path's length: less is no gain
 _MAX_IDLE_SHORTCUTS = 25  # in a row without a gain
-
-
-class FreeSpace(NamedTuple):
-    """What a motion must keep, and the checker that proves it."""
-
-    checker: CollisionChecker  # what may not be touched
-    clearance: float = CLEARANCE_M  # m, from everything
-    keep: KeptRegion | None = None  # where the tip stays
-    held: Mask | None = None  # (n,) joints that keep their positions; None for none
-
-    def line_is_free(self, start: Array, end: Array) -> bool:
-        """Whether a straight line between two configurations is proved."""
-        return self.checker.line_hit(start, end, self.clearance, self.keep) is None
-
-    def motion_hit(self, motion: PiecewiseTrajectory) -> Hit | None:
-        """Where a motion is not known to keep it; None if it is proved."""
-        return self.checker.motion_hit(motion.knots, motion.coefficients, self.clearance, self.keep)
-
-    def least_distance(self, motion: PiecewiseTrajectory) -> float:
-        """m, that a motion which touches nothing is proved to keep; infinite if nothing can touch."""
-        if not len(self.checker.geometry.pairs):
-            return math.inf
-        return self.checker.closest_approach(motion.knots, motion.coefficients, 0.0).bound
-
-
-def spaces_between(space: FreeSpace, ends: Sequence[Array]) -> Iterator[tuple[FreeSpace, FreeSpace]]:
-    """The spaces of a path and of the smooth motion along it, between ends that may be nearer to something than the clearance.
-
-    In the first ones, only those pairs come nearer that are so at an end, which leaves half of their distance there; in the
-    last ones all pairs may.
-    """
-    checker = space.checker
-    distance = min(checker.nearest(q)[1] for q in ends)
-    least = min(space.clearance, 0.5 * distance)
-    least_of_motion = max(0.5 * least, min(_MIN_CLEARANCE_M, 0.5 * distance))
-    if least < space.clearance:
-        clearances = np.full(len(checker.geometry.pairs), space.clearance)
-        for q in ends:
-            near = checker.near(q, np.zeros(len(q)), 1.0, np.full(len(clearances), 2.0 * space.clearance))
-            clearances[near.pairs] = np.minimum(clearances[near.pairs], 0.5 * near.distances)
-        clearances = np.maximum(clearances, least)
-        of_motion = np.maximum(0.5 * clearances, least_of_motion)
-        yield (
-            space._replace(checker=checker.with_clearances(clearances - least), clearance=least),
-            space._replace(checker=checker.with_clearances(of_motion - least_of_motion), clearance=least_of_motion),
-        )
-    yield space._replace(clearance=least), space._replace(clearance=least_of_motion)
 
 
 class FreePath(NamedTuple):
@@ -191,7 +145,7 @@ def move_free(
     clearance: float = CLEARANCE_M,
     allow: Iterable[tuple[str, str]] = (),
     holding: str | Iterable[str] | None = None,
-    keep: str | None = None,
+    keep: str | Region | None = None,
     keep_within: float = KEEP_WITHIN_RAD,
     speed: float = 1.0,
     duration: float | None = None,
@@ -216,8 +170,8 @@ def move_free(
             come as near during the motion, all bodies only if there is no other way.
         allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.
         holding: A body, or several, that the tip carries from where they are at the start.
-        keep: "x", "y" or "z": the axis of the tip that keeps the direction it has at the start, as for a glass. This is proved,
-            too.
+        keep: "x", "y" or "z": the axis of the tip that keeps the direction it has at the start, as for a glass; or a Region
+            of one part in which the tip stays: on a plane, on an arc whose angle is free. This is proved, too.
         keep_within: rad that this axis may tilt.
         speed: Fraction of the full speed, in (0, 1].
         duration: s, how long it takes; as short as possible if left out.
@@ -288,7 +242,7 @@ def move_free_with(
                 f"{1e3 * path_space.clearance:.2g} mm; another seed, a smaller clearance or a point on the way may help"
             )
             continue
-        timed = _timed(motion_space, arm, shorten(path_space, found.points, rng))
+        timed = _timed(motion_space, arm, shorten(path_space, found.points, rng), rng)
         if timed is not None:
             return timed
         refusal = "the path is free, but no motion along it could be proved; try another seed or a smaller clearance"
@@ -330,12 +284,16 @@ def require_free_start(checker: CollisionChecker, start: Array) -> None:
         raise PlanError(f"start: {overlap_in_words(checker, start, pair)}; move it apart or allow the contact")
 
 
-def _timed(space: FreeSpace, arm: Arm, points: Array) -> JointTrajectory | None:
+def _timed(space: FreeSpace, arm: Arm, points: Array, rng: np.random.Generator) -> JointTrajectory | None:
     """The fastest smooth motion along a free path that is proved free, within the torques; at worst it stops at each point.
 
     None if even that one is not proved.
     """
-    motion = flowing_motion(space, arm, points)
+    motion = None
+    if space.keep is None or space.keep.only_tilts:
+        motion = flowing_motion(space, arm, points)
+    elif (along := motion_in_region(space, arm, points, rng)) is not None:
+        return along
     if motion is not None:
         slowed = within_torque(arm, motion)
         if slowed is motion or space.motion_hit(slowed) is None:

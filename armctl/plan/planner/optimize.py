@@ -26,7 +26,7 @@ from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.limit_check import QUANTITIES
 from armctl.plan.motion.trajectory.piecewise import Pieces
 from armctl.plan.planner.descent import TINY, Descent
-from armctl.plan.planner.move_free import CLEARANCE_M, FreeSpace
+from armctl.plan.planner.free_space import CLEARANCE_M, FreeSpace
 from armctl.plan.planner.transcription import SAMPLES, Transcription
 
 _PIECES = (12, 16, 24, 32, 48)  # of constant jerk: as few as follow a path so nearly that the motion is proved

@@ -40,7 +40,7 @@ from armctl.plan.motion.move_cartesian import (
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.piecewise import Pieces
-from armctl.plan.planner.move_free import FreeSpace
+from armctl.plan.planner.free_space import FreeSpace
 from armctl.plan.stream.gate import Gate, GateScene
 from armctl.run.execution.arm_gate import ArmGate
 from armctl.run.execution.arm_world import ArmWorld
@@ -156,7 +156,7 @@ class Commands:
         speed: float = 1.0,
         avoid: bool = True,
         allow: Iterable[tuple[str, str]] = (),
-        keep: str | None = None,
+        keep: str | Region | None = None,
         keep_within: float = KEEP_WITHIN_RAD,
         duration: float | None = None,
     ) -> MoveResult:
@@ -170,7 +170,8 @@ class Commands:
             avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight. An arm whose
                 links lack a collision shape is refused where there is anything around it that it could touch.
             allow: Pairs of names of bodies or geoms that may touch.
-            keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; needs `avoid`.
+            keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; or a Region of one
+                part in which the tip stays on the way, such as a plane or an arc. It needs `avoid`.
             keep_within: rad that this axis may tilt.
             duration: s, how long the motion takes; as short as possible if left out.
 
@@ -189,7 +190,7 @@ class Commands:
         checker = self._checker(avoid, allow)
         kept = read_kept_region(self.arm, keep, keep_within, self._start)
         if kept is not None and checker is None:
-            raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
+            raise InputError("keep: the tip keeps an axis or a region only with avoid=True, which plans the whole motion")
         space = None if checker is None else FreeSpace(checker, keep=kept)
         if region is not None:
             plan = partial(plan_into, self._loaded_arm, region, self._start, speed, space)
@@ -432,7 +433,7 @@ class Commands:
         speed: float,
         avoid: bool,
         allow: Iterable[tuple[str, str]],
-        keep: str | None,
+        keep: str | Region | None,
         duration: float | None,
     ) -> MoveResult:
         if keep is not None:

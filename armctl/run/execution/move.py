@@ -31,7 +31,8 @@ from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.loop_check import check_loops
 from armctl.plan.motion.move_j import move_j
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.plan.planner.move_free import FreeSpace, move_free_with
+from armctl.plan.planner.free_space import FreeSpace
+from armctl.plan.planner.move_free import move_free_with
 from armctl.run.execution.drive import Drive, hold_reference
 from armctl.run.execution.recorder import Recorder, RunInfo, ticks_for
 

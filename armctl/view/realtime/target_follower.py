@@ -16,7 +16,7 @@ from armctl.model.arm.arm import Arm
 from armctl.plan.ik.differential import DifferentialIk
 from armctl.plan.ik.solve import solve_ik
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.plan.planner.move_free import FreeSpace
+from armctl.plan.planner.free_space import FreeSpace
 from armctl.run.execution.move import plan_free
 from armctl.run.execution.obstacles import Obstacles
 from armctl.view.realtime.background_planning import BackgroundPlanning

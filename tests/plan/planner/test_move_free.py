@@ -14,8 +14,8 @@ from collidable import arm_among, placed
 import armctl
 from armctl.core.target import Target
 from armctl.model.collision.checkers import collision_checker
+from armctl.plan.planner.free_space import CLEARANCE_M
 from armctl.plan.planner.goals import GoalSearch, free_goals
-from armctl.plan.planner.move_free import CLEARANCE_M
 
 WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
 START = np.array([-0.8, 1.0, 0.4, 0.0, 0.3, 0.0])

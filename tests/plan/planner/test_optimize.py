@@ -13,7 +13,7 @@ import armctl
 from armctl.model.collision.checkers import collision_checker
 from armctl.plan.motion.torque_limits import InverseDynamics
 from armctl.plan.planner.descent import Descent
-from armctl.plan.planner.move_free import FreeSpace
+from armctl.plan.planner.free_space import FreeSpace
 from armctl.plan.planner.transcription import SAMPLES, Transcription
 
 WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
