@@ -36,20 +36,23 @@ class RobotComparison(Comparison):
 
     Attributes:
         delay: s, the greatest of the link that was measured, which the simulation has; NaN if no law was run.
-        estimate: What was identified from a run of the robot; None if nothing was to be.
+        estimate: What was identified from a run of the robot; None without such a run.
+        not_identified: Why the arm was not identified although it was to be; empty otherwise.
     """
 
-    def __init__(self, reports: Iterable[Report], delay: float, estimate: ArmEstimate | None):
+    def __init__(self, reports: Iterable[Report], delay: float, estimate: ArmEstimate | None, not_identified: str):
         """A comparison of some reports.
 
         Args:
             reports: The reports, those of the robot first.
             delay: As the attribute.
             estimate: As the attribute.
+            not_identified: As the attribute.
         """
         super().__init__(reports)
         self.delay = delay
         self.estimate = estimate
+        self.not_identified = not_identified
 
     def __str__(self) -> str:
         """Remarks, and a table."""
@@ -58,8 +61,8 @@ class RobotComparison(Comparison):
     def remarks(self) -> list[str]:
         """Remarks on the figures: why laws were not run or failed, and why nothing was identified; one sentence each."""
         found = remarks(self)
-        if self.estimate is not None and not self.estimate:
-            found.append(f"the arm was not identified: {self.estimate.reason}")
+        if self.not_identified:
+            found.append(f"the arm was not identified: {self.not_identified}")
         return found
 
 
@@ -110,7 +113,8 @@ def compare_on_robot(
     Raises:
         InputError: There is no controller, an argument of another type, or a number out of its bounds.
         UnknownNameError: There is no such controller.
-        PlanError: Every motion touches something.
+        PlanError: Every motion touches something, or with `identified` every one that excites the parameters.
+        ModelError: With `identified`: a joint follows another one, or no clearance can be proved.
         LinkError: The connection failed, or the robot does not come to the start of the motion.
     """
     check_arm(arm)
@@ -129,7 +133,7 @@ def compare_on_robot(
     with bench.robot(None) as robot:
         motion = robot.slowed(out_and_back(robot.arm) if trajectory is None else trajectory)
     runs = bench.runs(laws, motion, dwell)
-    estimate = bench.identified(runs, motion) if identified and not bench.fault else None
+    estimate, not_identified = bench.identified(runs, motion) if identified else (None, "")
     known = arm if estimate is None or not estimate else estimate.applied_to(arm)
     name = "simulation" if known is arm else "simulation of the identified arm"
     plant = bench.plant(max((run.delay for run in runs if run.delay >= 0.0), default=0.0), payload if known is arm else 0.0)
@@ -140,7 +144,7 @@ def compare_on_robot(
         reports += _beside(again, _LAWS_OF_IDENTIFIED, known, motion, plant, configurations, dwell)
         runs += again
     delay = max((run.delay for run in runs if run.delay >= 0.0), default=np.nan)
-    return RobotComparison(reports, delay, estimate)
+    return RobotComparison(reports, delay, estimate, not_identified)
 
 
 class _NamedLaw(NamedTuple):
@@ -242,22 +246,19 @@ class _Bench:
         arm = self.arm
         return Report.not_run(Recorder(arm.model, arm.actuation, ReferenceTips()).log(arm, run))
 
-    def identified(self, runs: Sequence[_RobotRun], motion: JointTrajectory) -> ArmEstimate:
-        """What the robot's run of a motion that excites its parameters tells of the arm.
-
-        Raises:
-            LinkError: No law followed the motion, or none follows this one.
-        """
+    def identified(self, runs: Sequence[_RobotRun], motion: JointTrajectory) -> tuple[ArmEstimate | None, str]:
+        """What the robot's run of a motion that excites its parameters tells of the arm, and why it tells nothing if so."""
         followed = [run for run in runs if not run.report.log.failure]
-        if not followed:
-            raise LinkError("identified: no law followed the motion to its end, so there is no run to identify the arm from")
-        best = min(followed, key=lambda run: run.report.tip_rms_m)
+        if self.fault or not followed:
+            return None, self.fault or "no law followed the motion to its end"
+        best = min(followed, key=lambda run: float(np.abs(run.report.log.q_ref - run.report.log.q).max()))
         with self.robot(None) as robot:
             exciting = robot.slowed(excitation(robot.arm, for_="arm", start=motion(0.0).q))
         log = self._run(best.named, exciting, 0.0).report.log
         if log.failure:
-            raise LinkError(f"identified: the run that was to identify the arm failed: {log.failure:.250}")
-        return identify(self.arm, log)
+            return None, f"the run of a motion that excites its parameters failed: {log.failure}"
+        estimate = identify(self.arm, log)
+        return estimate, estimate.reason
 
     def plant(self, delay: float, payload: float) -> Plant:
         """The plant that is like the robot, as far as its link tells; with the encoder of every comparison."""

@@ -95,8 +95,10 @@ def test_the_arm_comes_to_the_start_of_each_run():
 def test_after_a_fault_no_law_is_run_unless_somebody_allows_it():
     arm = arm_of("robot_arm_3dof")
     laws = [Drops(), "pd-gravity"]
-    reports = armctl.compare_on_robot(arm, link_to(), laws, short_motion(), error_max=0.02, **FAST)
+    reports = armctl.compare_on_robot(arm, link_to(), laws, short_motion(), identified=True, error_max=0.02, **FAST)
     assert [r.outcome for r in reports[:2]] == ["failed", "not run"]
+    assert reports.estimate is None
+    assert reports.remarks()[-1] == f"the arm was not identified: {reports[0].log.failure}"
     assert "the robot has a fault since an earlier run" in reports[1].reason
     faults: list[str] = []
 

@@ -5,6 +5,7 @@ import subprocess
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,8 +52,8 @@ class Client:
         times = np.linspace(0.0, motion.duration, 2 + int(motion.duration / 0.02))
         message = JointTrajectory(joint_names=list(motion.joint_names))
         for t, q, v, a in zip(times, *motion.sample(times)[:3], strict=True):
-            at = Duration(sec=int(t / faster), nanosec=round(1e9 * (t / faster % 1.0)) % 10**9)
-            point = JointTrajectoryPoint(time_from_start=at)
+            seconds, nanoseconds = divmod(round(1e9 * t / faster), 10**9)
+            point = JointTrajectoryPoint(time_from_start=Duration(sec=seconds, nanosec=nanoseconds))
             point.positions = q.tolist()
             point.velocities = (faster * v).tolist()
             point.accelerations = (faster**2 * a).tolist()
@@ -69,11 +70,14 @@ class Client:
 
 
 @contextmanager
-def served(arm: armctl.Arm, namespace: str):
-    """A simulated arm that is served in another thread, and a client of it; and what the node logs."""
+def served(arm: armctl.Arm, namespace: str, *, real_time: bool = True):
+    """A simulated arm that is served in another thread, and a client of it.
+
+    Without `real_time`, its time passes as fast as it is computed, so that a busy computer is no reason to brake.
+    """
     use_loopback()
     is_over = threading.Event()
-    link = armctl.links.PlantLink(arm, real_time=True)
+    link = armctl.links.PlantLink(arm, real_time=real_time)
 
     def serve() -> None:
         with armctl.Robot(arm, link, speed=1.0, tip_speed=10.0) as robot:
@@ -149,6 +153,73 @@ def test_a_served_arm_takes_trajectories_poses_and_a_stop_and_refuses_bad_ones(a
         "target_pose: the frame 'elsewhere' is unknown",
     ):
         assert sentence in said, said
+
+
+def bad_ones(arm: armctl.Arm, q: np.ndarray, goal: np.ndarray) -> list[tuple[armctl.JointTrajectory, dict]]:
+    """What must be refused where the arm rests at q: a motion, and what its message has instead."""
+    motion = armctl.move_j(arm, q, goal)
+    wide = arm.with_limits(replace(arm.limits, q_min=arm.limits.q_min - 1.0, q_max=arm.limits.q_max + 1.0))
+    beyond = np.array(q)
+    beyond[0] = arm.limits.q_max[0] + 0.2
+    return [
+        (armctl.move_j(arm, goal, q), {}),  # from another place
+        (motion, {"joint_names": [f"other {name}" for name in arm.joint_names]}),
+        (motion, {"points": []}),
+        (motion, {"faster": 20}),
+        (armctl.move_j(wide, q, beyond), {}),
+    ]
+
+
+def free_goal(arm: armctl.Arm, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(n,) rad, to which the straight motion from q touches nothing, and which is away from q."""
+    while True:
+        goal = arm.home + 0.3 * (arm.limits.random(arm.home, 1, rng)[0] - arm.home)
+        if np.abs(goal - q).max() > 0.1 and armctl.check_clearance(arm, armctl.move_j(arm, q, goal)):
+            return goal
+
+
+@pytest.mark.parametrize(
+    ("name", "count"), [("robot_arm_3dof", 5), pytest.param("panda", 100, marks=pytest.mark.nightly)], ids=["few", "many"]
+)
+def test_a_served_arm_takes_random_trajectories_and_refuses_the_bad_ones(name: str, count: int, capfd):
+    arm = arm_of(name)
+    rng = np.random.default_rng(5)
+    said = [""]
+
+    def warned() -> bool:
+        said[0] += capfd.readouterr().err
+        return "WARN" in said[0]
+
+    with served(arm, f"random_{name}", real_time=False) as client:
+        q = arm.home
+        for k in range(count):
+            goal = free_goal(arm, q, rng)
+            kinds = bad_ones(arm, q, goal)
+            motion, changes = kinds[k % len(kinds)]
+            client.send(motion, **changes)
+            client.wait_for(warned)
+            assert client.rests_at(q), said
+            said[0] = ""
+            client.send(armctl.move_j(arm, q, goal))
+            client.wait_for(lambda goal=goal: client.rests_at(goal), 60.0)
+            assert not warned(), said
+            q = goal
+
+
+def test_a_stop_ends_a_served_arm_at_rest_on_its_path(arm: armctl.Arm):
+    from std_srvs.srv import Trigger
+
+    goal = arm.home + np.array([1.0, 0.3, -0.3])
+    with served(arm, "braked", real_time=False) as client:
+        client.send(armctl.move_j(arm, arm.home, goal, speed=5e-3))
+        client.wait_for(lambda: bool(np.abs(client.q - arm.home).max() > 0.05))
+        future = client.stop.call_async(Trigger.Request())
+        client.wait_for(future.done)
+        client.wait_for(lambda: bool(np.abs(client.states[-1].velocity).max() < 1e-4))
+        stopped = client.q - arm.home
+    along = stopped @ (goal - arm.home) / np.sum(np.square(goal - arm.home))
+    assert 0.04 < along < 0.95
+    assert np.abs(stopped - along * (goal - arm.home)).max() < 1e-3
 
 
 @pytest.mark.full
