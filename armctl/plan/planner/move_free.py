@@ -237,8 +237,9 @@ def move_free_with(
                 return motion
         found = find_path(path_space, start, goals, arm.limits, rng)
         if found is None:
+            where = "" if space.keep is None or space.keep.axis is not None else " in the region"
             refusal = (
-                f"no collision-free path found after {MAX_SAMPLES} samples with a clearance of "
+                f"no collision-free path found{where} after {MAX_SAMPLES} samples with a clearance of "
                 f"{1e3 * path_space.clearance:.2g} mm; another seed, a smaller clearance or a point on the way may help"
             )
             continue

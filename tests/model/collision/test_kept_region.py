@@ -1,5 +1,7 @@
 """The proof that a tip stays in a region during a whole motion, judged by MuJoCo's kinematics at many times."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from arms import arm_of
@@ -10,6 +12,7 @@ import armctl
 
 pytestmark = [pytest.mark.core, pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")]
 
+PARALLEL_LINK_ARM = Path(__file__).parents[3] / "examples" / "models" / "parallel_link_arm.xml"
 OUTER = 1e-4  # m and rad
 RATE = 10_000  # Hz
 ALLOWED = [("link0", f"link{i}") for i in range(6)]
@@ -79,6 +82,12 @@ def test_all_six_bounds_are_proved_and_refused_where_mujoco_sees_it(arm, seed):
 @pytest.mark.parametrize("seed", range(8))
 def test_all_six_bounds_are_proved_and_refused_on_robots(name, seed):
     assert_bounds_decide(arm_of(name), 100 + seed)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(4))
+def test_all_six_bounds_are_proved_and_refused_with_closed_loops(seed):
+    assert_bounds_decide(armctl.load(PARALLEL_LINK_ARM), seed)
 
 
 def test_a_line_that_leaves_a_region_between_its_ends_for_a_moment_is_refused(arm):

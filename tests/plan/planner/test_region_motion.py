@@ -185,6 +185,19 @@ def test_arms_with_several_tips_and_thin_regions_are_refused(arm):
 
 
 @pytest.mark.full
+def test_a_plane_with_a_wall_across_it_is_said():
+    """The arm reaches over the wall, and its tip cannot go around it."""
+    height = arm_of("panda").fk(arm_of("panda").home).position[2]
+    world = armctl.World()
+    for name, y in (("left", 0.15), ("right", -1.0)):
+        world.add(name, armctl.Box([3.0, 0.02, 0.1]), [0.6, y, height])
+    arm = armctl.load("panda", scene=world)
+    tip = arm.fk(arm.home)
+    with pytest.raises(armctl.PlanError, match="no collision-free path found in the region after 20000 samples"):
+        armctl.move_free(arm, arm.home, tip.position + np.array([0.0, 0.35, 0.0]), keep=plane_at(tip))
+
+
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["panda", "ur5e", "fr3", "xarm7"])
 @pytest.mark.parametrize("kind", ["plane", "arc"])
 def test_random_regions_are_kept_by_robots(name, kind):
