@@ -265,12 +265,16 @@ class LinkDrive:
 
     def _interlocked(self) -> str:
         """Why the arm must not move now; empty if it may."""
-        if self.interlock is None:
+        interlock = self.interlock
+        if interlock is None:
             return ""
+        self.interlock = None  # it may look at the state of the robot, and is not asked again by that
         try:
-            return str(self.interlock())
+            return str(interlock())
         except Exception as error:  # of a caller's function: an arm that nobody can hold back does not move
             return f"the interlock failed ({type(error).__name__}: {error!s:.120})"
+        finally:
+            self.interlock = interlock
 
     @property
     def _has_contact(self) -> bool:

@@ -43,6 +43,14 @@ def test_the_arm_brakes_on_its_path_when_the_interlock_gets_a_reason(robot):
     assert np.abs(robot.state.q - start).max() < 1e-3
 
 
+def test_an_interlock_may_look_at_the_state_of_the_robot(robot):
+    start = robot.state.q
+    robot.interlock = lambda: "far enough" if np.abs(robot.state.q - start).max() > 0.05 else ""
+    result = robot.move_j(robot.arm.home + 0.4)
+    assert result.reason == "far enough"
+    assert 0.05 < np.abs(robot.state.q - start).max() < 0.3
+
+
 def test_an_interlock_that_fails_is_a_reason_and_one_that_is_no_function_an_error(robot):
     robot.interlock = lambda: 1 / 0
     assert robot.move_j(robot.arm.home + 0.2).reason.startswith("the interlock failed (ZeroDivisionError")
