@@ -39,6 +39,12 @@ SOFTWARE_GL = [
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
 ]
+# A browser that draws with software does nothing else where nothing holds it back.
+FEW_PICTURES = """
+const draw = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (callback) => setTimeout(() => draw(callback), 400);
+window.cancelAnimationFrame = clearTimeout;
+"""
 PROTOCOL = f"viser-v{viser.__version__}"
 
 
@@ -62,9 +68,15 @@ def tab(browser, page: Page):
     return opened(browser, page.url)
 
 
-def opened(browser, url: str):
-    tab = browser.new_context(viewport={"width": 640, "height": 420}).new_page()
+def new_tab(browser, width: int, height: int):
+    tab = browser.new_context(viewport={"width": width, "height": height}).new_page()
     tab.set_default_timeout(1e3 * TIMEOUT_S)
+    tab.add_init_script(FEW_PICTURES)
+    return tab
+
+
+def opened(browser, url: str):
+    tab = new_tab(browser, 640, 420)
     tab.goto(url)
     tab.get_by_text("times real time").wait_for(timeout=1e3 * TIMEOUT_S)
     # viser's notice of software rendering lies over the scene and would take the clicks that are meant for the target
@@ -126,9 +138,9 @@ window.report = (id, counts) => {
 
 
 def test_keys_a_gamepad_and_a_space_mouse_ask_for_a_velocity_while_they_are_held(browser, page: Page, monkeypatch):
-    said: list[list[float]] = []  # a browser that draws with software on a busy machine is too slow to renew in time
+    said: list[list[float] | bool | int] = []  # a browser that draws with software on a busy machine is too slow to renew in time
     monkeypatch.setattr(page.scene.devices, "take", lambda _, message: said.append(json.loads(message)))
-    tab = browser.new_context(viewport={"width": 320, "height": 240}).new_page()
+    tab = new_tab(browser, 320, 240)
     tab.add_init_script(FAKE_DEVICES)
     tab.goto(page.url)
     tab.get_by_text("real time").wait_for(timeout=1e3 * TIMEOUT_S)
@@ -148,7 +160,7 @@ def test_keys_a_gamepad_and_a_space_mouse_ask_for_a_velocity_while_they_are_held
     said.clear()
     tab.evaluate("pad.axes = [0, 0, 0, -1]")
     tab.wait_for_timeout(300)
-    assert said == [], "a gamepad moves the tip without its shoulder button"
+    assert not [message for message in said if isinstance(message, list)], "a gamepad moves the tip without its shoulder button"
     says([0, 0, 1, 0, 0, 0], lambda: tab.evaluate("pad.buttons[5].pressed = true"))
     says(nothing, lambda: tab.evaluate("pad.buttons[5].pressed = false"))
     says([0, 0.5, 0, 0, 0, 0], lambda: tab.evaluate("window.timer = setInterval(() => report(1, [-175, 0, 0]), 10)"))
