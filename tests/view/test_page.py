@@ -106,6 +106,11 @@ def on_screen(page: Page, tab, point: np.ndarray) -> np.ndarray:
     return np.array([box["x"] + box["width"] / 2 + scale * (way @ right), box["y"] + box["height"] / 2 - scale * (way @ up)])
 
 
+def draws(tab) -> None:
+    """Waits for two pictures: what the mouse points at is found in one, and what it does is shown in the next."""
+    tab.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
 def typed(tab, label: str, value: str, which: int = 0) -> None:
     """Types into a number field of the panel."""
     field = field_of(tab, label, which)
@@ -199,11 +204,12 @@ def test_dragging_the_target_with_the_mouse_brings_the_tip_there(page: Page, tab
     axis = np.array([0.0, 0.0, 1.0])
     handle, farther = (on_screen(page, tab, before + reach * axis) for reach in (0.11, 0.21))
     tab.mouse.move(*handle)
-    time.sleep(0.5)
+    draws(tab)
     tab.mouse.down()
-    for share in np.linspace(0.0, 1.0, 12):
+    draws(tab)
+    for share in np.linspace(0.2, 1.0, 5):
         tab.mouse.move(*(handle + share * (farther - handle)))
-        time.sleep(0.05)
+        draws(tab)
     tab.mouse.up()
     until(lambda: np.linalg.norm(page.session.status.target.position - before) > 0.03, "the target has not moved")
     until(lambda: not page.is_target_held, "the target is still held")
