@@ -152,7 +152,7 @@ def robot_with(kind: str, rng: np.random.Generator, row: int) -> tuple[armctl.Ro
     return robot, link, goal
 
 
-@pytest.mark.parametrize("seed", some_of(range(100), few=(0, 2, 4), full=range(100)))
+@pytest.mark.parametrize("seed", some_of(range(100), few=(0, 2, 4), full=range(20)))
 def test_whatever_happens_the_arm_rests_in_time_within_the_bounds_and_the_fault_stays(seed: int):
     rng = np.random.default_rng(seed)
     kind = KINDS[seed % len(KINDS)]
