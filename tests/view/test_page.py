@@ -143,7 +143,8 @@ window.report = (id, counts) => {
 
 
 def test_keys_a_gamepad_and_a_space_mouse_ask_for_a_velocity_while_they_are_held(browser, page: Page, monkeypatch):
-    said: list[list[float] | bool | int] = []  # a browser that draws with software on a busy machine is too slow to renew in time
+    # a browser that draws with software on a busy machine is too slow to renew in time
+    said: list[list[float] | bool | int] = []
     monkeypatch.setattr(page.scene.devices, "take", lambda _, message: said.append(json.loads(message)))
     tab = new_tab(browser, 320, 240)
     tab.add_init_script(FAKE_DEVICES)

@@ -95,6 +95,7 @@ class Arm(ArmEquations):
                 "ikine": "armctl.solve_ik(arm, target)",
                 "jacob0": "arm.jacobian(q)",
                 "jacob0_dot": "arm.jacobian_derivative(q, v)",
+                "hessian0": "arm.jacobian_derivative(q, v), with a speed of 1 of one joint for each layer",
                 "jacobm": "arm.manipulability(q)",
                 "inertia": "arm.mass_matrix(q)",
                 "crba": "arm.mass_matrix(q)",

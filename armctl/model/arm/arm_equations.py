@@ -84,6 +84,9 @@ class ArmEquations:
     def jacobian_derivative(self, q: ArrayLike, v: ArrayLike, tip: str | None = None, *, body: str | None = None) -> Array:
         """The time derivative of the Jacobian: the acceleration of the tip is J(q) a + jacobian_derivative(q, v) v.
 
+        It is linear in v: at unit speed of joint k alone it is the partial derivative of J with respect to q_k, a layer of the
+        kinematic Hessian.
+
         Args:
             tip: One of `tips`; the first one if left out.
             body: Instead of a tip, any body of the MuJoCo model.

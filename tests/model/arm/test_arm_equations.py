@@ -150,6 +150,13 @@ def test_the_derivative_of_the_jacobian_of_every_tip_is_that_of_differences(any_
         assert np.array_equal(any_arm.jacobian_derivative(q, v), any_arm.jacobian_derivative(q, v, any_arm.tips[0]))
 
 
+def test_the_layers_of_the_kinematic_hessian_are_derivatives_of_the_jacobian(any_arm: Arm):
+    q = any_arm.limits.clamp(any_arm.home + 0.1)
+    for unit in np.eye(any_arm.n):
+        change = any_arm.jacobian(q + STEP * unit) - any_arm.jacobian(q - STEP * unit)
+        assert any_arm.jacobian_derivative(q, unit) == pytest.approx(change / (2 * STEP), abs=1e-8)
+
+
 def test_a_wrench_on_a_tip_is_the_force_that_mujoco_applies_there(any_arm):
     rng = np.random.default_rng(1)
     for q, v, tau in states(any_arm, 3):
