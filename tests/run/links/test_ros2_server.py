@@ -16,7 +16,7 @@ from ros2_controller import needs_ros2, use_loopback
 import armctl
 
 pytestmark = needs_ros2
-EXACT = 1e-6  # rad, within which a simulated arm without faults ends a motion
+NEAR = 1e-4  # rad, within which a simulated arm without faults ends a motion: that of its last tick is not published
 
 
 class Client:
@@ -199,10 +199,10 @@ def test_a_served_arm_takes_random_trajectories_and_refuses_the_bad_ones(name: s
             motion, changes = kinds[k % len(kinds)]
             client.send(motion, **changes)
             client.wait_for(warned)
-            assert np.abs(client.q - q).max() < EXACT, said
+            assert np.abs(client.q - q).max() < NEAR, said
             said[0] = ""
             client.send(armctl.move_j(arm, q, goal))
-            client.wait_for(lambda goal=goal: bool(np.abs(client.q - goal).max() < EXACT), 60.0)
+            client.wait_for(lambda goal=goal: bool(np.abs(client.q - goal).max() < NEAR), 60.0)
             assert not warned(), said
             q = goal
 
