@@ -139,26 +139,27 @@ def compared(bench: Bench) -> tuple[list[list[object]], list[str]]:
     """Rows of the second table, and what they say."""
     options = {"speed": SPEED, "tip_speed": TIP_SPEED, "configurations": 0}
     try:
-        reports = armctl.compare_on_robot(bench.arm, bench.link(), LAWS, identified=True, **options)
+        reports = armctl.compare_on_robot(bench.arm, bench.link(), LAWS, identified=True, recover=lambda _: True, **options)
     except armctl.LinkError as error:
         return [], [f"{bench.name}: {error}"]
-    by_plant = list(reports.plants().values())
-    if len(by_plant) < 4:
-        return [], [f"{bench.name}: {each}" for each in reports.remarks()]
-    errors = np.array([[figure(group, law) for law in LAWS] for group in by_plant])
+    errors = np.full((4, len(LAWS)), np.nan)
+    for k, group in enumerate(reports.plants().values()):
+        errors[k] = [figure(group, law) for law in LAWS]
     rows: list[list[object]] = [
         [bench.name, law, *(f"{1e3 * each:.3f}" for each in errors[:, k])] for k, law in enumerate(LAWS)
     ]
-    said = []
+    said = [f"{bench.name}: {each}" for each in reports.remarks()]
     for robot, simulation, what in ((errors[0], errors[1], "model"), (errors[2], errors[3], "identified")):
-        same = bool((np.argsort(robot) == np.argsort(simulation)).all())
-        ratios = robot / simulation
+        known = np.isfinite(robot + simulation)
+        if not known.any():
+            continue
+        same = bool((np.argsort(robot[known]) == np.argsort(simulation[known])).all())
         order = "the same order" if same else "another order"
-        said.append(
-            f"{bench.name}, {what}: {order}; errors of the robot over those of the simulation {np.round(ratios, 2).tolist()}"
-        )
-    k = LAWS.index("computed-torque")
-    said.append(f"{bench.name}: identification divides the error of computed-torque by {errors[0, k] / errors[2, k]:.1f}")
+        ratios = np.round(robot / simulation, 2).tolist()
+        said.append(f"{bench.name}, {what}: {order}; errors of the robot over those of the simulation {ratios}")
+    factor = errors[0, LAWS.index("computed-torque")] / errors[2, LAWS.index("computed-torque")]
+    if np.isfinite(factor):
+        said.append(f"{bench.name}: identification divides the error of computed-torque by {factor:.1f}")
     return rows, said
 
 

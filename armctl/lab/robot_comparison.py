@@ -87,9 +87,9 @@ def compare_on_robot(
     The robot is opened anew for each law. One that the link cannot bear, or that the robot cannot have, is not run: its report
     says why. After a fault the other laws are not run, unless `recover` says that the robot may move again.
 
-    With `identified`, the arm is identified from one more run, under the law with the least error, of a motion that excites its
-    parameters. The simulation then has the identified arm, and all laws that are given by name run again with it as their
-    model, on the robot and in the simulation.
+    With `identified`, the arm is identified from one more run, under the law with the least error that follows it, of a motion
+    that excites its parameters. The simulation then has the identified arm, and all laws that are given by name run again with
+    it as their model, on the robot and in the simulation.
 
     Args:
         arm: The model.
@@ -251,14 +251,17 @@ class _Bench:
         followed = [run for run in runs if not run.report.log.failure]
         if self.fault or not followed:
             return None, self.fault or "no law followed the motion to its end"
-        best = min(followed, key=lambda run: float(np.abs(run.report.log.q_ref - run.report.log.q).max()))
         with self.robot(None) as robot:
             exciting = robot.slowed(excitation(robot.arm, for_="arm", start=motion(0.0).q))
-        log = self._run(best.named, exciting, 0.0).report.log
-        if log.failure:
-            return None, f"the run of a motion that excites its parameters failed: {log.failure}"
-        estimate = identify(self.arm, log)
-        return estimate, estimate.reason
+        failure = ""
+        for run in sorted(followed, key=lambda run: float(np.abs(run.report.log.q_ref - run.report.log.q).max())):
+            if not self.fault:
+                log = self._run(run.named, exciting, 0.0).report.log
+                if not log.failure:
+                    estimate = identify(self.arm, log)
+                    return estimate, estimate.reason
+                failure = log.failure
+        return None, f"the run of a motion that excites its parameters failed: {failure}"
 
     def plant(self, delay: float, payload: float) -> Plant:
         """The plant that is like the robot, as far as its link tells; with the encoder of every comparison."""
