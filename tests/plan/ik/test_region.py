@@ -118,6 +118,18 @@ def test_no_sampled_member_has_a_nearer_configuration(arm, kind):
             assert distance <= np.linalg.norm(other.q - arm.home) + 0.01
 
 
+def test_an_orientation_anywhere_and_a_mask_of_directions_are_regions(arm):
+    turned = Pose([9.0, 9.0, 9.0], rpy=[2.5, 0.3, 1.0])
+    found = armctl.solve_ik(arm, Region(turned, [FREE] * 3 + [[0, 0]] * 3))
+    assert found.ok, found.reason
+    assert arm.fk(found.q).distance(turned)[1] < 1e-4
+    lower = Pose(arm.fk(arm.home).position - [0, 0, 0.1], arm.fk(arm.home).quat)
+    found = armctl.solve_ik(arm, Region(lower, [FREE, FREE, [0, 0], [0, 0], [0, 0], FREE]))
+    assert found.ok, found.reason
+    assert arm.fk(found.q).position[2] == pytest.approx(lower.position[2], abs=1e-5)
+    assert arm.fk(found.q).rotation[:, 2] == pytest.approx(lower.rotation[:, 2], abs=1e-4)
+
+
 def test_a_start_in_the_region_is_kept(arm):
     q = arm.limits.random(arm.home, 1, np.random.default_rng(4))[0]
     region = Region(arm.fk(q), [[-0.05, 0.05]] * 3 + [[-0.2, 0.2]] * 3)
