@@ -1,4 +1,4 @@
-"""The collision checkers of each arm, made when they are first needed."""
+"""The collision checkers of each arm, made when they are first needed, and what a caller lets touch or wants kept."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
@@ -7,10 +7,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from armctl.core.errors import InputError, ModelError
-from armctl.core.validation import Array, flag, shown
-from armctl.model.arm.arm import Arm
+from armctl.core.errors import InputError, ModelError, UnknownNameError
+from armctl.core.region import Region, RegionPart
+from armctl.core.validation import Array, flag, number, shown
+from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.model.collision.checker import CollisionChecker, allowed_geoms
+from armctl.model.collision.kept_region import KeptRegion
 from armctl.model.collision.moving_joints import MovingJoints
 from armctl.model.collision.world_snapshot import WorldLike, read_world
 
@@ -21,6 +23,49 @@ def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
         return tuple(allow)  # type: ignore[arg-type]
     except TypeError:
         raise InputError(f"allow: expected pairs of names, got {shown(allow)}") from None
+
+
+KEEP_WITHIN_RAD = 0.1
+_MIN_KEEP_WITHIN_RAD = 1e-3
+_MAX_KEEP_WITHIN_RAD = 0.5 * np.pi
+_MIN_THICKNESS = 1e-4  # m or rad, of a region: a proof of a line in a thinner one has too many intervals
+
+
+def read_kept_region(arm: Arm, keep: str | Region | None, keep_within: float, q: Array) -> KeptRegion | None:
+    """What the tip keeps: "x", "y" or "z", an axis with its direction at q (n,) within an angle, or a Region; None for None."""
+    within = number("keep_within", keep_within, _MIN_KEEP_WITHIN_RAD, _MAX_KEEP_WITHIN_RAD)
+    if keep is None:
+        return None
+    if isinstance(keep, Region):
+        if within != KEEP_WITHIN_RAD:
+            raise InputError("keep_within: it belongs to keep='z'; a region has bounds or a cone of its own")
+        return KeptRegion(arm=arm, part=_checked_part(arm, keep), q=q)
+    if not isinstance(keep, str):
+        raise UnknownNameError.from_known("axis to keep", shown(keep), ["x", "y", "z"])
+    if keep not in ("x", "y", "z"):
+        raise UnknownNameError.from_known("axis to keep", f"{keep:.80}", ["x", "y", "z"])
+    upright = Region.upright(arm.fk(q), keep, cone=within)
+    return KeptRegion(arm=arm, part=upright.parts[0], q=q, axis=keep)
+
+
+def _checked_part(arm: Arm, region: Region) -> RegionPart:
+    """The part of a region in which a tip can stay during a motion. InputError if there is none."""
+    check_one_tip(arm)
+    if len(region) > 1:
+        raise InputError(
+            f"keep: the region is a union of {len(region)} parts; the tip can stay in one part only, give region[0]"
+        )
+    (part,) = region.parts
+    if part.free is not None and part.cone < _MIN_KEEP_WITHIN_RAD:
+        raise InputError(f"keep: the cone of the region is {part.cone:g} rad; give at least {_MIN_KEEP_WITHIN_RAD:g} rad")
+    widths = part.coordinate_bounds[:, 1] - part.coordinate_bounds[:, 0]
+    for (name, unit), width in zip(part.coordinate_names, widths.tolist(), strict=True):
+        if width < _MIN_THICKNESS:
+            raise InputError(
+                f"keep: the region is {width:g} {unit} thick in {name}, and no motion of joints stays in it; "
+                f"give bounds at least {_MIN_THICKNESS:g} {unit} apart"
+            )
+    return part
 
 
 # The checkers that were used last, of each arm. One of them takes about 0.5 MB.

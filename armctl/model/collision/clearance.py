@@ -16,8 +16,8 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.collision.checker import CollisionChecker
-from armctl.model.collision.checkers import collision_checker
-from armctl.model.collision.kept_region import KEEP_WITHIN_RAD, KeptRegion, read_kept_region
+from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_region
+from armctl.model.collision.kept_region import KeptRegion
 from armctl.model.collision.world_snapshot import WorldLike
 
 _NO_PAIRS_M = np.inf

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, PlanError
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.region import Region, RegionPart, cone_parts, frames_along, read_surface
+from armctl.core.units import length_text
 from armctl.core.validation import Array, IntArray, array, choice, shown
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.motion.checks import planning_arm
@@ -28,6 +29,9 @@ ToolPoints = Any  # Region | Sequence[Pose] | ArrayLike: the type ArrayLike incl
 _MAX_POINTS = 20_000
 _MAX_GAP_M = 0.01  # between two points: farther ones are joined by a line
 _MAX_GAP_RAD = 0.05
+_FINER = (4, 16)  # so many times more points are joined, as long as the tip strays between them
+_STRAY_SHARE = 0.1  # of the way between two points, that the tip may be beside it
+_STRAY_M = 1e-5  # that it may be in any case
 _LIMIT_ROOM = 1e-4  # of the range of a joint
 _CROSSING = 0.75  # of the spacing: two parts of a path that cross at right angles have points nearer than 0.71 of it
 _APART = 10  # points, between two that may be near each other
@@ -47,9 +51,9 @@ def tool_path(
     planning = planning_arm(arm, options.get("speed", 1.0))
     parts = read_tool_path(path, normals, free, cone)
     _require_no_crossing(parts)
-    regions = region_path(*_dense(parts))
     start = None if q_start is None else arm.checked("q_start", q_start)
-    motion = _motion(arm, planning, regions, joint_path_through(arm, regions, start), options)
+    regions, q = _through(arm, parts, start)
+    motion = _motion(arm, planning, regions, q, options)
     if is_inside(motion.pieces, arm.limits):
         return motion
     # Between points the spline leaves a limit at which many of them are: there is room beside narrower limits.
@@ -57,10 +61,45 @@ def tool_path(
     room = np.where(np.isfinite(room), room, 0.0)
     narrow = arm.with_limits(replace(arm.limits, q_min=arm.limits.q_min + room, q_max=arm.limits.q_max - room))
     start = None if start is None else narrow.limits.clamp(start)
-    motion = _motion(arm, planning, regions, joint_path_through(narrow, regions, start), options)
+    regions, q = _through(narrow, parts, start)
+    motion = _motion(arm, planning, regions, q, options)
     if is_inside(motion.pieces, arm.limits):
         return motion
     raise PlanError(f"path: {motion.check_limits().violations[0]}; start in another configuration, or widen the cone")
+
+
+def _through(arm: Arm, parts: list[RegionPart], start: Array | None) -> tuple[RegionPath, Array]:
+    """The regions, and the configurations (N, n) of a joint path through them on which the tip stays on its way."""
+    regions = region_path(*_dense(parts, 1))
+    q = joint_path_through(arm, regions, start)
+    strays = _strays(arm, regions.lengths, q)
+    count = len(q)
+    for factor in _FINER:
+        if strays.max(initial=0.0) <= 0.0 or factor * count > _MAX_POINTS:
+            break
+        regions = region_path(*_dense(parts, factor))
+        q = joint_path_through(arm, regions, start)
+        strays = _strays(arm, regions.lengths, q)
+    if strays.max(initial=0.0) <= 0.0:
+        return regions, q
+    worst = int(strays.argmax())
+    x, y, z = arm.fk(q[worst]).position
+    raise PlanError(
+        f"point {regions.given[worst]} of {len(parts)}, at [{x:.3f}, {y:.3f}, {z:.3f}] m: the tip strays by "
+        f"{length_text(float(strays[worst]))} too much after it, where the joints move fast; widen the cone, give more points, "
+        "or divide the path"
+    )
+
+
+def _strays(arm: Arm, lengths: Array, q: Array) -> Array:
+    """(N - 1,) m, by how much too far from the line between two points the tip is in the middle; negative if it is not."""
+    if len(q) < 2:
+        return np.empty(0)
+    middles = np.asarray(_joint_path(lengths, q).spline(0.5 * (lengths[1:] + lengths[:-1])))  # type: ignore[operator]
+    at = arm.fk_many(q)[0]
+    steps = np.diff(at, axis=0)
+    beside = np.linalg.norm(arm.fk_many(middles)[0] - 0.5 * (at[1:] + at[:-1]), axis=1)
+    return beside - np.maximum(_STRAY_SHARE * np.linalg.norm(steps, axis=1), _STRAY_M)
 
 
 def _motion(arm: Arm, planning: Arm, regions: RegionPath, q: Array, options: Mapping[str, Any]) -> JointTrajectory:
@@ -69,12 +108,16 @@ def _motion(arm: Arm, planning: Arm, regions: RegionPath, q: Array, options: Map
     return timed_along(arm, planning, _joint_path(regions.lengths, q), options)
 
 
-def _dense(parts: list[RegionPart]) -> tuple[list[RegionPart], IntArray]:
-    """The regions, with others on lines between those that are far apart, and the numbers of the given ones before each."""
+def _dense(parts: list[RegionPart], factor: int) -> tuple[list[RegionPart], IntArray]:
+    """The regions, with others on lines between those that are far apart, and the numbers of the given ones before each.
+
+    With a factor above 1 there are so many times more between two points.
+    """
     rows = nominal_poses(parts)
     moved = np.linalg.norm(np.diff(rows[:, 3], axis=0), axis=1)
     turned = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=(1, 2)) / math.sqrt(2.0)
     pieces = np.maximum(1, np.ceil(np.maximum(moved / _MAX_GAP_M, turned / _MAX_GAP_RAD))).astype(np.int64)
+    pieces = np.where(moved + turned > 0.0, factor * pieces, pieces)
     if pieces.sum() > _MAX_POINTS:
         raise InputError(f"path: {len(parts)} points are {moved.sum():.3g} m long; at most {_MAX_POINTS * _MAX_GAP_M:g} m")
     dense: list[RegionPart] = []

@@ -27,9 +27,8 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, integer, number, shown
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.collision.checker import CollisionChecker
-from armctl.model.collision.checkers import collision_checker
+from armctl.model.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_region
 from armctl.model.collision.clearance import clearance_of
-from armctl.model.collision.kept_region import KEEP_WITHIN_RAD, read_kept_region
 from armctl.model.collision.moving_joints import MovingJoints
 from armctl.model.collision.world_snapshot import WorldLike, WorldSnapshot, read_world
 from armctl.model.mjmodel.queries import object_id

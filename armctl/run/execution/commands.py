@@ -21,7 +21,7 @@ from armctl.core.trajectory import Trajectory
 from armctl.core.validation import Array, flag, number
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.model.collision.checker import CollisionChecker
-from armctl.model.collision.kept_region import KEEP_WITHIN_RAD, read_kept_region
+from armctl.model.collision.checkers import KEEP_WITHIN_RAD, read_kept_region
 from armctl.model.collision.world import World
 from armctl.model.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.plan.ik.tree_problem import read_tasks

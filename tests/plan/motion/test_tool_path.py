@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from arms import MISSING, arm_of, at_hand
 from collidable import arm_among
 from scipy.spatial import KDTree
 
@@ -113,3 +114,18 @@ EIGHT = np.column_stack([0.45 + 0.1 * np.sin(ANGLE), 0.1 * np.sin(2 * ANGLE), np
 def test_wrong_tool_paths_are_one_sentence(arm, arguments, message):
     with pytest.raises(InputError, match=message):
         armctl.move_path(arm, None, **arguments)
+
+
+def test_the_tip_stays_on_its_way_between_points_where_the_joints_move_fast():
+    """A hand that may roll by 0.5 rad about a handle has to move its other joints on a short piece of the arc."""
+    if not at_hand("panda"):
+        pytest.skip(f"panda: {MISSING}")
+    panda = arm_of("panda")
+    q = [0.7143, 0.2735, -0.9686, -1.9979, 2.7665, 2.4684, 1.3148]
+    hinge, tip = np.array([0.7765, 0.2270, 0.4091]), panda.fk(q)
+    play = np.outer([0, 0, 0, 0.5, 0, 0], [-1, 1])
+    arc = [tip.turned_about(hinge, [0, 0, 1], angle) for angle in np.linspace(0.0, -0.5, 100)]
+    motion = armctl.move_path(panda, q, Region.union(Region(pose, play) for pose in arc), tip_speed=0.06)
+    at = panda.fk_many(motion.sample(np.linspace(0.0, motion.duration, 10_001)).q)[0]
+    assert np.ptp(np.linalg.norm((at - hinge)[:, :2], axis=1)) < 2e-5
+    assert np.ptp(at[:, 2]) < 2e-5
