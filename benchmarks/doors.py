@@ -2,14 +2,15 @@
 
     python benchmarks/doors.py [--arms panda] [--cases 100] [--first 0] [--out FILE]
 
-Hinge, radius, friction and angle of each case are random, drawn again while the arm cannot reach the whole arc; a crank turns
-once around. A case is done if the hinge is where it was asked to be, and the tip stays as far from its axis as it was when the
-hand closed, to 1 mm.
+Hinge, radius, friction and angle of each case are random, drawn again while the arm cannot reach the whole arc, or stands in
+the door at home; a crank turns once around. A case is done if the hinge is where it was asked to be, and the tip stays as far
+from its axis as it was when the hand closed, to 1 mm.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import tempfile
 import time
@@ -74,7 +75,7 @@ def main() -> None:
         for kind in KINDS:
             outcomes = []
             for number in range(args.first, args.first + args.cases):
-                outcome = _run(robot, _reachable(alone, kind, number))
+                outcome = _run(*_possible(robot, alone, kind, number))
                 outcomes.append(outcome)
                 print(f"{robot} {kind} {number}: {outcome}", flush=True)
                 if not outcome.is_done:
@@ -98,14 +99,21 @@ def main() -> None:
     print(text)
 
 
-def _reachable(arm: armctl.Arm, kind: str, number: int) -> Case:
-    """The first random case whose arc the arm can reach."""
+def _possible(robot: str, alone: armctl.Arm, kind: str, number: int) -> tuple[armctl.Arm, Case]:
+    """The first random case whose arc an arm can reach, and which leaves it room at home; the arm in it, and the case."""
     rng = np.random.default_rng([KINDS.index(kind), number])
     while True:
         case = _case(kind, rng)
         ways = [case.handle, case.before, *case.arc(case.handle, REACHED)]
-        if all(armctl.solve_ik(arm, target) for target in ways):
-            return case
+        if not all(armctl.solve_ik(alone, target) for target in ways):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "scene.xml"
+            file.write_text(case.text, encoding="utf-8")
+            arm = armctl.load(robot, scene=file)
+        with contextlib.suppress(armctl.PlanError):
+            armctl.move_free(arm, arm.home, arm.home)
+            return arm, case
 
 
 def _case(kind: str, rng: np.random.Generator) -> Case:
@@ -137,12 +145,8 @@ def _case(kind: str, rng: np.random.Generator) -> Case:
     return Case(text, handle, [1.0, 0.0, 0.0], rng.choice([-1.0, 1.0]) * 2.0 * np.pi, [0.0, 0.0, np.inf], armctl.Pose(hinge))
 
 
-def _run(robot: str, case: Case) -> Outcome:
+def _run(arm: armctl.Arm, case: Case) -> Outcome:
     begin = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "scene.xml"
-        file.write_text(case.text, encoding="utf-8")
-        arm = armctl.load(robot, scene=file)
     sim = armctl.Simulation(arm, "computed-torque-observer")
     reason, log = _turned(sim, case)
     off_angle = abs(float(sim.data.joint("hinge").qpos[0]) - case.angle)
