@@ -85,7 +85,7 @@ MOTIONS = {
 
 @pytest.mark.parametrize("kind", some_of(KINDS, {"both"}, full=KINDS))
 @pytest.mark.parametrize("name", MOTIONS)
-@pytest.mark.parametrize("cases", [4, pytest.param(60, marks=pytest.mark.full)])
+@pytest.mark.parametrize("cases", [4, pytest.param(60, marks=pytest.mark.nightly)])
 def test_random_motions_into_the_ends_keep_the_limits(name: str, kind: str, cases: int):
     limits = limits_of(kind)
     rng = np.random.default_rng(7)

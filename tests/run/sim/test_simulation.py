@@ -295,7 +295,7 @@ def test_a_payload_is_felt(arm: Arm):
     [
         (lambda sim: sim.move_to([0.3, 0.2]), "target: expected 3 numbers, got 2"),
         (lambda sim: sim.move_to([0.3, np.nan, 0.1]), r"target: element \[1\] is nan"),
-        (lambda sim: sim.move_to([0.3, 0.2, 0.3], keep="z", avoid=False), "keep: an axis keeps its direction only with avoid"),
+        (lambda sim: sim.move_to([0.3, 0.2, 0.3], keep="z", avoid=False), "keep: the tip keeps an axis or a region only"),
         (lambda sim: sim.apply_ctrl([1, 2], 1), "ctrl: expected 3 numbers, got 2"),
         (lambda sim: sim.apply_ctrl([1, 2, 9], 1), r"ctrl: elbow: 9 is outside \[-5, 5\]"),
         (lambda sim: sim.apply_ctrl([1, 2, 3], -1), "duration: expected .*got -1"),
