@@ -129,3 +129,12 @@ def test_the_tip_stays_on_its_way_between_points_where_the_joints_move_fast():
     at = panda.fk_many(motion.sample(np.linspace(0.0, motion.duration, 10_001)).q)[0]
     assert np.ptp(np.linalg.norm((at - hinge)[:, :2], axis=1)) < 2e-5
     assert np.ptp(at[:, 2]) < 2e-5
+
+
+@pytest.mark.parametrize("turn", [0.5 * np.pi, 2.2])
+def test_a_path_with_a_corner_is_passed(arm, turn: float):
+    way = np.linspace(0.0, 0.05, 21)[:, None]
+    corner = np.array([0.25, 0.0, 0.2])
+    points = np.vstack([corner - way[:0:-1] * [1, 0, 0], corner + way * [np.cos(turn), np.sin(turn), 0]])
+    motion = armctl.move_path(arm, None, points, normals=UP, cone=0.1)
+    assert_passed(arm, motion, points, UP, 0.1)
