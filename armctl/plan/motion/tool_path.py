@@ -30,8 +30,8 @@ _MAX_POINTS = 20_000
 _MAX_GAP_M = 0.01  # between two points: farther ones are joined by a line
 _MAX_GAP_RAD = 0.05
 _FINER = (4, 16)  # so many times more points are joined, as long as the tip strays between them
-_STRAY_SHARE = 0.25  # of the way between two points, that the tip may be beside it: a spline needs 0.17 where a path turns back
-_STRAY_M = 1e-5  # that it may be in any case
+_STRAY_SHARE = 0.05  # of the way between two points, that the tip may be beside it
+_STRAY_M = 1e-4  # that it may be in any case
 _LIMIT_ROOM = 1e-4  # of the range of a joint
 _CROSSING = 0.75  # of the spacing: two parts of a path that cross at right angles have points nearer than 0.71 of it
 _APART = 10  # points, between two that may be near each other
@@ -92,14 +92,18 @@ def _through(arm: Arm, parts: list[RegionPart], start: Array | None) -> tuple[Re
 
 
 def _strays(arm: Arm, lengths: Array, q: Array) -> Array:
-    """(N - 1,) m, by how much too far from the line between two points the tip is in the middle; negative if it is not."""
+    """(N - 1,) m, by how much too far the tip is from its way in the middle between two points; negative if it is not.
+
+    Its way is the spline through the points that is made as that of the joints, and has the same waves at a corner.
+    """
     if len(q) < 2:
         return np.empty(0)
-    middles = np.asarray(_joint_path(lengths, q).spline(0.5 * (lengths[1:] + lengths[:-1])))  # type: ignore[operator]
+    middles = 0.5 * (lengths[1:] + lengths[:-1])
     at = arm.fk_many(q)[0]
-    steps = np.diff(at, axis=0)
-    beside = np.linalg.norm(arm.fk_many(middles)[0] - 0.5 * (at[1:] + at[:-1]), axis=1)
-    return beside - np.maximum(_STRAY_SHARE * np.linalg.norm(steps, axis=1), _STRAY_M)
+    joints = np.asarray(_joint_path(lengths, q).spline(middles))  # type: ignore[operator]
+    expected = np.asarray(_joint_path(lengths, at).spline(middles))  # type: ignore[operator]
+    beside = np.linalg.norm(arm.fk_many(joints)[0] - expected, axis=1)
+    return beside - np.maximum(_STRAY_SHARE * np.linalg.norm(np.diff(at, axis=0), axis=1), _STRAY_M)
 
 
 def _motion(arm: Arm, planning: Arm, regions: RegionPath, q: Array, options: Mapping[str, Any]) -> JointTrajectory:
