@@ -40,7 +40,7 @@ class Client:
         self.trajectories = self.node.node.create_publisher(JointTrajectory, f"{base}/joint_trajectory", 10)
         self.poses = self.node.node.create_publisher(PoseStamped, f"{base}/target_pose", 10)
         self.stop = self.node.node.create_client(Trigger, f"{base}/stop")
-        assert self.node.wait_for(lambda: bool(self.states and self.trajectories.get_subscription_count()), 30.0)
+        assert self.node.wait_for(lambda: bool(self.states and self.trajectories.get_subscription_count()), 90.0)
 
     @property
     def q(self) -> np.ndarray:
@@ -63,7 +63,7 @@ class Client:
             setattr(message, name, value)
         self.trajectories.publish(message)
 
-    def wait_for(self, condition, seconds: float = 20.0) -> None:
+    def wait_for(self, condition, seconds: float = 90.0) -> None:
         assert self.node.wait_for(condition, seconds)
 
     def rests_at(self, q: np.ndarray) -> bool:
