@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import armctl
+from armctl.run.links.torque_interface import TorqueLink
 
-_FRANKA_JOINTS = 7
 _PROBES = 1  # streams at first, which measure the delay of the link and have no law
 
 
@@ -23,9 +23,10 @@ class TickTimes:
         self._seconds: list[float] = []
         self._sent: list[np.ndarray] = []  # (n,) N m each; NaN between two streams
 
-    def begin_stream(self, n: int) -> None:
+    def begin_stream(self) -> None:
         self._streams += 1
-        self._sent.append(np.full(n, np.nan))
+        if self._sent:
+            self._sent.append(np.full_like(self._sent[-1], np.nan))
 
     def begin_tick(self) -> None:
         self._begun = time.perf_counter()
@@ -39,7 +40,30 @@ class TickTimes:
         np.savez(self.path, seconds=np.array(self._seconds), sent=np.array(self._sent))
 
 
-class TimedPlantLink(armctl.links.PlantLink):
+class _Timed(armctl.links.Link, TorqueLink):
+    """What both links have in common. It stands before the link in a list of bases, whose methods it calls."""
+
+    times: TickTimes
+
+    def start_torques(self) -> None:
+        self.times.begin_stream()
+        super().start_torques()  # pyright: ignore[reportAbstractUsage]
+
+    def wait(self) -> tuple[int, armctl.links.Reading]:
+        found = super().wait()  # pyright: ignore[reportAbstractUsage]
+        self.times.begin_tick()
+        return found
+
+    def send_torques(self, tau: np.ndarray, last: bool) -> None:
+        self.times.end_tick(tau)
+        super().send_torques(tau, last)  # pyright: ignore[reportAbstractUsage]
+
+    def close(self) -> None:
+        self.times.write()
+        super().close()  # pyright: ignore[reportAbstractUsage]
+
+
+class TimedPlantLink(_Timed, armctl.links.PlantLink):
     """A simulated robot."""
 
     def __init__(
@@ -53,44 +77,10 @@ class TimedPlantLink(armctl.links.PlantLink):
         super().__init__(arm, plant, torque=torque, real_time=real_time)
         self.times = times
 
-    def start_torques(self) -> None:
-        self.times.begin_stream(len(self.q_start))
-        super().start_torques()
 
-    def wait(self) -> tuple[int, armctl.links.Reading]:
-        found = super().wait()
-        self.times.begin_tick()
-        return found
-
-    def send_torques(self, tau: np.ndarray, last: bool) -> None:
-        self.times.end_tick(tau)
-        super().send_torques(tau, last)
-
-    def close(self) -> None:
-        self.times.write()
-        super().close()
-
-
-class TimedFranka(armctl.links.Franka):
+class TimedFranka(_Timed, armctl.links.Franka):
     """A Franka, or a simulator of one."""
 
     def __init__(self, host: str, torque: armctl.links.TorqueInterface, times: TickTimes):
         super().__init__(host, real_time=False, torque=torque)
         self.times = times
-
-    def start_torques(self) -> None:
-        self.times.begin_stream(_FRANKA_JOINTS)
-        super().start_torques()
-
-    def wait(self) -> tuple[int, armctl.links.Reading]:
-        found = super().wait()
-        self.times.begin_tick()
-        return found
-
-    def send_torques(self, tau: np.ndarray, last: bool) -> None:
-        self.times.end_tick(tau)
-        super().send_torques(tau, last)
-
-    def close(self) -> None:
-        self.times.write()
-        super().close()

@@ -30,6 +30,7 @@ _EXAMPLES = (
     "ur5e --delay-margin 0.01 --json",
     "fr3 --robot 172.16.0.2 --controllers pd-gravity,computed-torque --identify",
 )
+_OF_ROBOT = ("link", "calibration", "payload", "no_real_time", "tip_speed", "identify")
 _PLANTS = "nominal"
 _SPEED = "1"
 _ROBOT_SPEED = "0.2"
@@ -64,7 +65,7 @@ def add(commands: common.Commands) -> None:
     parser.add_argument(
         "--dwell",
         metavar="S",
-        help="seconds for which the end is held at most, until the arm rests (default 10); all of 1 s on a robot",
+        help="seconds for which the end is held at most, until the arm rests (default 10); on a robot all of them (default 1)",
     )
     parser.add_argument(
         "--delay-margin",
@@ -91,6 +92,7 @@ def add(commands: common.Commands) -> None:
     parser.add_argument(
         "--identify", action="store_true", help="identify the arm from one more run of the robot, and compare again"
     )
+    parser.set_defaults(of_robot={name: parser.get_default(name) for name in _OF_ROBOT})
     common.add_json(parser)
     outputs.add_out(parser, "the table as JSON, Markdown and a page, and the log and plot of each run")
 
@@ -99,8 +101,10 @@ def run(args: argparse.Namespace) -> int:
     speed = common.speed_from(args.speed or (_ROBOT_SPEED if args.host else _SPEED))
     if args.host:
         return _on_robot(args, speed)
-    if args.identify:
-        raise InputError("identify: it identifies the arm from a run of a robot; give --robot HOST")
+    for name, default in args.of_robot.items():
+        if getattr(args, name) != default:
+            instead = "; --plants simulates a load" if name == "payload" else ""
+            raise InputError(f"{name}: it is for a robot; give --robot HOST{instead}")
     from armctl.lab.comparison import compare, out_and_back, remarks
 
     arm = common.load_arm(args)
@@ -116,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _on_robot(args: argparse.Namespace, speed: float) -> int:
-    """Compares on a robot, and in its simulation; whether every law ran to its end without a fault does not matter."""
+    """Compares on a robot, and in its simulation. As in a comparison on plants, a law that fails is a row and no error."""
     tip_speed = common.one_number("tip_speed", args.tip_speed)
     payload = common.one_number("payload", args.payload)
     dwell = _dwell(args)

@@ -415,7 +415,12 @@ WRONG_CALLS = {
         "plants: a simulated robot is one plant, got 2",
     ),
     "gains for no robot": (["compare", BUNDLED, "--robot", "host", "--delay-margin", "0.01"], "--delay-margin: on a robot"),
-    "nothing to identify": (["compare", BUNDLED, "--identify"], "identify: it identifies the arm from a run of a robot"),
+    "nothing to identify": (["compare", BUNDLED, "--identify"], "identify: it is for a robot; give --robot HOST"),
+    "a load of no robot": (
+        ["compare", BUNDLED, "--payload", "2"],
+        "payload: it is for a robot; give --robot HOST; --plants simulates a load",
+    ),
+    "a link of no robot": (["compare", BUNDLED, "--link", "plant"], "link: it is for a robot; give --robot HOST"),
     "unknown tip": (["reach", BUNDLED, "--tip", "end_efector"], "did you mean 'end_effector'?"),
 }
 

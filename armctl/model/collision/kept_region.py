@@ -43,23 +43,24 @@ class KeptRegion:
 
     def excess(self, q: Array) -> float:
         """m or rad, how far the tip at q (n,) is outside in its worst coordinate; negative inside."""
-        coordinates = self.part.coordinates(self.arm.fk(q))
-        bounds = self.part.coordinate_bounds
-        return float(np.maximum(bounds[:, 0] - coordinates, coordinates - bounds[:, 1]).max())
+        return float(self._excesses(self.part.coordinates(self.arm.fk(q))).max())
 
     def why_outside(self, q: Array) -> str:
         """Which coordinate of the tip at q (n,) is out of bounds or at one, and by how much; empty if none is."""
-        excess = self.excess(q)
+        coordinates = self.part.coordinates(self.arm.fk(q))
+        excesses = self._excesses(coordinates)
+        worst = int(excesses.argmax())
+        excess = float(excesses[worst])
         if excess <= -_EDGE:
             return ""
-        coordinates = self.part.coordinates(self.arm.fk(q))
-        bounds = self.part.coordinate_bounds
-        worst = int(np.maximum(bounds[:, 0] - coordinates, coordinates - bounds[:, 1]).argmax())
+        low, high = self.part.coordinate_bounds[worst]
         name, unit = self.part.coordinate_names[worst]
-        low = 0.0 if name == "tilt" else bounds[worst, 0]
-        high = bounds[worst, 1]
         where = f"its {name} is {coordinates[worst]:.6g} {unit}"
-        allowed = f"[{low:.6g}, {high:.6g}]"
+        allowed = f"[{0.0 if name == 'tilt' else low:.6g}, {high:.6g}]"
         if excess > _EDGE:
             return f"the tip is outside the region: {where}, {excess:.3g} {unit} outside {allowed}"
         return f"the tip is at the edge of the region: {where}, expected it at least {_EDGE:g} {unit} inside {allowed}"
+
+    def _excesses(self, coordinates: Array) -> Array:
+        bounds = self.part.coordinate_bounds
+        return np.maximum(bounds[:, 0] - coordinates, coordinates - bounds[:, 1])

@@ -29,7 +29,8 @@ ToolPoints = Any  # Region | Sequence[Pose] | ArrayLike: the type ArrayLike incl
 _MAX_POINTS = 20_000
 _MAX_GAP_M = 0.01  # between two points: farther ones are joined by a line
 _MAX_GAP_RAD = 0.05
-_FINER = (4, 16)  # so many times more points are joined, as long as the tip strays between them
+_GROWTH = 4  # so many times more points are joined, as long as the tip strays between them
+_FINEST = 16  # times the points, at most
 _STRAY_SHARE = 0.05  # of the way between two points, that the tip may be beside it
 _STRAY_M = 1e-4  # that it may be in any case
 _LIMIT_ROOM = 1e-4  # of the range of a joint
@@ -70,40 +71,39 @@ def tool_path(
 
 def _through(arm: Arm, parts: list[RegionPart], start: Array | None) -> tuple[RegionPath, Array]:
     """The regions, and the configurations (N, n) of a joint path through them on which the tip stays on its way."""
-    regions = region_path(*_dense(parts, 1))
-    q = joint_path_through(arm, regions, start)
-    strays = _strays(arm, regions.lengths, q)
-    count = len(q)
-    for factor in _FINER:
-        if strays.max(initial=0.0) <= 0.0 or factor * count > _MAX_POINTS:
-            break
+    factor = 1
+    while True:
         regions = region_path(*_dense(parts, factor))
         q = joint_path_through(arm, regions, start)
         strays = _strays(arm, regions.lengths, q)
-    if strays.max(initial=0.0) <= 0.0:
-        return regions, q
+        if not strays.any():
+            return regions, q
+        factor *= _GROWTH
+        if factor > _FINEST or _GROWTH * len(q) > _MAX_POINTS:
+            break
     worst = int(strays.argmax())
     x, y, z = arm.fk(q[worst]).position
     raise PlanError(
-        f"point {regions.given[worst]} of {len(parts)}, at [{x:.3f}, {y:.3f}, {z:.3f}] m: the tip strays by "
-        f"{length_text(float(strays[worst]))} too much after it, where the joints move fast; widen the cone, give more points, "
-        "or divide the path"
+        f"point {regions.given[worst]} of {len(parts)}, at [{x:.3f}, {y:.3f}, {z:.3f}] m: the joints then move so fast that "
+        f"the tip would be {length_text(float(strays[worst]))} beside its way; widen the cone, give more points, or "
+        "divide the path"
     )
 
 
 def _strays(arm: Arm, lengths: Array, q: Array) -> Array:
-    """(N - 1,) m, by how much too far the tip is from its way in the middle between two points; negative if it is not.
+    """(N - 1,) m, how far the tip is beside its way in the middle between two points; 0 where it is near enough.
 
     Its way is the spline through the points that is made as that of the joints, and has the same waves at a corner.
     """
     if len(q) < 2:
-        return np.empty(0)
+        return np.zeros(0)
     middles = 0.5 * (lengths[1:] + lengths[:-1])
     at = arm.fk_many(q)[0]
     joints = np.asarray(_joint_path(lengths, q).spline(middles))  # type: ignore[operator]
     expected = np.asarray(_joint_path(lengths, at).spline(middles))  # type: ignore[operator]
     beside = np.linalg.norm(arm.fk_many(joints)[0] - expected, axis=1)
-    return beside - np.maximum(_STRAY_SHARE * np.linalg.norm(np.diff(at, axis=0), axis=1), _STRAY_M)
+    near = np.maximum(_STRAY_SHARE * np.linalg.norm(np.diff(at, axis=0), axis=1), _STRAY_M)
+    return np.where(beside > near, beside, 0.0)
 
 
 def _motion(arm: Arm, planning: Arm, regions: RegionPath, q: Array, options: Mapping[str, Any]) -> JointTrajectory:

@@ -60,6 +60,7 @@ class LinkDrive:
         self._tips = ReferenceTips()
         self._stream = LinkStream(host, link.dt, link.passes_time, arm.n)
         self._recorder: LinkRecorder | None = None
+        self._asks = False  # whether the interlock is being asked
         self._trajectory: tuple[TickReference, Trajectory] | None = None
         first = host.read()
         self._mirror = RobotMirror(arm, link.rest_speed, first.t, first.q, first.v)
@@ -265,16 +266,15 @@ class LinkDrive:
 
     def _interlocked(self) -> str:
         """Why the arm must not move now; empty if it may."""
-        interlock = self.interlock
-        if interlock is None:
+        if self.interlock is None or self._asks:
             return ""
-        self.interlock = None  # it may look at the state of the robot, and is not asked again by that
+        self._asks = True  # it may look at the state of the robot, and is not asked again by that
         try:
-            return str(interlock())
+            return str(self.interlock())
         except Exception as error:  # of a caller's function: an arm that nobody can hold back does not move
             return f"the interlock failed ({type(error).__name__}: {error!s:.120})"
         finally:
-            self.interlock = interlock
+            self._asks = False
 
     @property
     def _has_contact(self) -> bool:
