@@ -232,7 +232,7 @@ def furniture() -> armctl.World:
     return (
         armctl.World()
         .add("board", armctl.Box([0.5, 0.03, 0.6]), [0.5, 0.45, 0.4])
-        .add("top", armctl.Box([0.5, 0.6, 0.03]), [0.55, 0.0, 0.75])
+        .add("top", armctl.Box([0.5, 0.6, 0.03]), [0.55, 0.0, 0.9])
         .add("post", armctl.Cylinder(0.04, 0.8), [0.5, -0.35, 0.4])
         .add("ball", armctl.Ball(0.12), [-0.4, 0.4, 0.5])
     )

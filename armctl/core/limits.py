@@ -205,8 +205,8 @@ class Limits:
             InputError: The positions are not numbers, or not of n joints.
         """
         q = self._positions(q)
-        low = np.broadcast_to(self.v_low, q.shape)
-        high = np.broadcast_to(self.v_max, q.shape)
+        low = self.v_low if q.ndim == 1 else np.broadcast_to(self.v_low, q.shape)
+        high = self.v_max if q.ndim == 1 else np.broadcast_to(self.v_max, q.shape)
         if not self.depends_on_position:
             return low, high
         with np.errstate(invalid="ignore"):  # infinity of a joint without limits

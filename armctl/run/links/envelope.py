@@ -71,15 +71,14 @@ class Envelope:
         """The velocities that are allowed at positions.
 
         Args:
-            q: (T, n) rad.
+            q: (n,) or (T, n) rad.
 
         Returns:
-            The lowest and the highest ones, each (T, n) rad/s.
+            The lowest and the highest ones, each of the same shape, rad/s.
 
         Raises:
-            InputError: The positions are not (T, n) numbers.
+            InputError: The positions are not numbers, or not of n joints.
         """
-        q = matrix("q", q, len(self.limits.q_min), finite=False)
         lowest, highest = self.limits.velocity_bounds(q)
         return lowest + _SPEED_MARGIN, highest - _SPEED_MARGIN
 

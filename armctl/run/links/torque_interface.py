@@ -57,6 +57,11 @@ class TorqueInterface:
         object.__setattr__(self, "lag", number("lag", self.lag, 0.0, 1.0))
         if self.delay is not None:
             object.__setattr__(self, "delay", number("delay", self.delay, 0.0, MAX_TORQUE_DELAY_S))
+        if self.settle is not None:
+            settle = vector("settle", self.settle, 2)
+            if not (settle > 0.0).all():
+                raise InputError(f"settle: both must be above 0, got {settle.tolist()}; (0.001, 0.01) is 1 mm and 0.01 rad")
+            object.__setattr__(self, "settle", (float(settle[0]), float(settle[1])))
         instance("source", self.source, str, "the page of the maker is one")
 
     @property

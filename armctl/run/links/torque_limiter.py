@@ -31,15 +31,15 @@ class TorqueLimiter:
         """Begins at the torques that hold the arm: those that the robot measures, or else its weight."""
         total = reading.tau if np.isfinite(reading.tau).all() else self._arm.gravity(reading.q)
         added = self._maker.at(reading.q, reading.v)
-        self.sent = np.clip(total - added, -self._tau_max, self._tau_max)
+        self.sent = _within(total - added, -self._tau_max, self._tau_max)
         self.total = self.sent + added
 
     def to_send(self, total: Array, reading: Reading) -> Array:
         """(n,) N m, what is sent so that the motors give a total torque, as far as the bounds allow."""
         added = self._maker.at(reading.q, reading.v)
-        sent = np.clip(total, -self._tau_max, self._tau_max) - added
-        sent = np.clip(sent, self.sent - self._step_max, self.sent + self._step_max)
-        self.sent = np.clip(sent, -self._tau_max, self._tau_max)
+        sent = _within(total, -self._tau_max, self._tau_max) - added
+        sent = _within(sent, self.sent - self._step_max, self.sent + self._step_max)
+        self.sent = _within(sent, -self._tau_max, self._tau_max)
         self.total = self.sent + added
         return self.sent
 
@@ -47,10 +47,10 @@ class TorqueLimiter:
         """Why the arm leaves what its maker allows: it would not come to rest within the range, or is too fast; else empty."""
         limits = envelope.limits
         way = v * np.abs(v) / (2.0 * limits.a_max)
-        low, high = envelope.speed_limits(q[None])
+        low, high = envelope.speed_limits(q)
         beyond = np.maximum(limits.q_min - (q + np.minimum(way, 0.0)), q + np.maximum(way, 0.0) - limits.q_max)
         # Where the maker allows no speed near an end of the range, the first bound is the narrower one.
-        fastest = np.maximum(np.where(v > 0.0, high[0], -low[0]), 0.0)
+        fastest = np.maximum(np.where(v > 0.0, high, -low), 0.0)
         excess = np.abs(v) - np.where(fastest > 0.0, fastest, limits.v_max)
         if beyond.max() > _ENCODER_EXCESS:
             joint = int(beyond.argmax())
@@ -65,3 +65,8 @@ class TorqueLimiter:
                 f"at most {abs(v[joint]) - excess[joint]:.3g} rad/s"
             )
         return ""
+
+
+def _within(values: Array, low: Array, high: Array) -> Array:
+    """`numpy.clip`, in a third of its time for a few joints."""
+    return np.minimum(np.maximum(values, low), high)

@@ -298,6 +298,8 @@ def test_what_no_link_can_do_is_refused():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
+        ({"tau_max": [1.0], "settle": 0.005}, r"settle: expected a list of numbers, got a single number"),
+        ({"tau_max": [1.0], "settle": (0.005, 0.0)}, r"settle: both must be above 0, got \[0.005, 0.0\]"),
         ({"tau_max": [1.0, 0.0]}, r"tau_max: every torque must be above 0 N m, got 0"),
         ({"tau_max": [1.0], "rate_max": -1.0}, r"rate_max: every rate must be above 0 N m/s, got -1"),
         ({"tau_max": [1.0], "delay": 1.0}, r"delay: expected .* 0\.05"),
