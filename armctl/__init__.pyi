@@ -46,6 +46,7 @@ from .core.log import Log as Log
 from .core.log import LogSource as LogSource
 from .core.log import LogTorques as LogTorques
 from .core.log import SimulationError as SimulationError
+from .core.log import TipLog as TipLog
 from .core.pose import Pose as Pose
 from .core.region import Region as Region
 from .core.region import RegionPart as RegionPart
@@ -173,6 +174,7 @@ from .report.render.video import record as record
 from .report.render.video import still as still
 from .report.report import Report as Report
 from .report.report import table as table
+from .report.tip_errors import TipErrors as TipErrors
 from .run import links as links
 from .run.agent.server import serve_mcp as serve_mcp
 from .run.execution.contact_reaction import ContactReaction as ContactReaction

@@ -380,6 +380,13 @@ def tips(model: ArmModel, q: numpy.ndarray, positions: numpy.ndarray, rotations:
     Positions (T, 3) m and rotation matrices (T, 9), row by row, of the tip in the world at each row of q (T, n).
     """
 
+def frames(
+    model: ArmModel, q: numpy.ndarray, joint: int, placement: numpy.ndarray, positions: numpy.ndarray, rotations: numpy.ndarray
+) -> None:
+    """
+    As `tips`, of a frame that a joint carries (-1: the world) at a placement (12,) in it: rotation row by row, position.
+    """
+
 def mass_matrices(model: ArmModel, q: numpy.ndarray, M: numpy.ndarray) -> None:
     """The mass matrices with armature, (T, n n) kg m^2, row by row."""
 

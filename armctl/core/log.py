@@ -17,7 +17,7 @@ from armctl.core import log_columns, log_files
 from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import ArmctlError, InputError
 from armctl.core.file_reading import reading
-from armctl.core.log_columns import QUANTITIES, REFERENCES, STATES
+from armctl.core.log_columns import POSE_AXES, QUANTITIES, REFERENCES, STATES
 from armctl.core.other_names import with_hints
 from armctl.core.validation import Array, choice, flag, frozen, instance, matrix, number, shown, words
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10
 _MIN_ROWS = 2  # of a recording, for its velocity
 _QUATERNION_TOLERANCE = 1e-3  # of the norm of a quaternion in a file
+_OTHER_TIPS = ("other_tips", "other_tips_ref", "other_targets")
 
 
 class LogSource(StrEnum):
@@ -73,6 +74,24 @@ class Contact(NamedTuple):
         return f"{self.body} touched {self.other} for {self.duration:.3g} s"
 
 
+class TipLog(NamedTuple):
+    """What a log has of one tip.
+
+    Attributes:
+        position: (T, 3) m.
+        quat: (T, 4) wxyz.
+        position_ref: (T, 3) m, of the reference; NaN in an open-loop run.
+        quat_ref: (T, 4) wxyz.
+        target: (7,) where the tip should end, m and wxyz; NaN for what is free.
+    """
+
+    position: Array
+    quat: Array
+    position_ref: Array
+    quat_ref: Array
+    target: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Log:
     """The record of a run, tick by tick, in read-only arrays. Row k holds the state at t[k] and the torques of that tick.
@@ -106,6 +125,10 @@ class Log:
         contacts: What the arm touched, in the order of time; empty if it touched nothing.
         wrench: (T, 6) N and N m, the true wrench of the environment on the tip: force first, world axes, at the tip; NaN at
             ticks at which the controller did not measure it, (0, 6) if it never did.
+        tip_names: The names of all tips of an arm with several, of which `tip` and `target` are the first one's; empty for one.
+        other_tips: (T, 7 K), position, m, and quaternion of each of the K others; (0, 0) for one tip. `tips` has them by name.
+        other_tips_ref: (T, 7 K), those of the reference.
+        other_targets: (7 K,), where they should end; NaN for what is free.
     """
 
     robot: str
@@ -137,6 +160,10 @@ class Log:
     units: tuple[str, ...] = ()
     contacts: tuple[Contact, ...] = ()
     wrench: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    tip_names: tuple[str, ...] = ()
+    other_tips: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    other_tips_ref: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    other_targets: Array = field(default_factory=lambda: np.zeros(0))
 
     if not TYPE_CHECKING:
         __getattr__ = with_hints(
@@ -171,6 +198,19 @@ class Log:
         return f"Log({self.robot!r}, {self.controller!r}, {len(self)} ticks of {1e3 * self.dt:g} ms)"
 
     @property
+    def tips(self) -> dict[str, TipLog]:
+        """All tips by name; the tip of an arm with one is "tip"."""
+        names = self.tip_names or ("tip",)
+        found = {names[0]: TipLog(self.tip, self.tip_quat, self.tip_ref, self.tip_ref_quat, self.target)}
+        width = len(POSE_AXES)
+        for k, name in enumerate(names[1:]):
+            own = slice(width * k, width * (k + 1))
+            pose = self.other_tips[:, own]
+            pose_ref = self.other_tips_ref[:, own]
+            found[name] = TipLog(pose[:, :3], pose[:, 3:], pose_ref[:, :3], pose_ref[:, 3:], self.other_targets[own])
+        return found
+
+    @property
     def is_open_loop(self) -> bool:
         """Whether there was no reference to follow."""
         return bool(np.isnan(self.q_ref).all())
@@ -186,9 +226,10 @@ class Log:
         """The arrays over time as a flat table, for `pandas.DataFrame(log.to_dict())`.
 
         Returns:
-            Vectors (T,) by name: "t", "q/joint1", ..., "tip/x", ..., "qpos/0"; the units are those of the attributes.
+            Vectors (T,) by name: "t", "q/joint1", ..., "tip/x", ..., "other_tips/NAME/x"; units as those of the attributes.
         """
-        return log_columns.flat(vars(self), log_columns.columns(self.joint_names, self.units, log_columns.widths(vars(self))))
+        widths = log_columns.widths(vars(self))
+        return log_columns.flat(vars(self), log_columns.columns(self.joint_names, self.units, widths, self.tip_names))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes the log. The extension selects the format. `load` reads .npz, .parquet and .csv, which contain the whole log.
@@ -196,7 +237,7 @@ class Log:
         Parquet has one column per quantity and joint, such as "q/joint1", with its unit in the metadata of the column. CSV has
         the same columns after one line with everything else: `pandas.read_csv(path, comment="#")`. MCAP has ROS 2 messages,
         for `ros2 bag` and Foxglove: `sensor_msgs/JointState` on /joint_states and /joint_references, poses on /tip and
-        /tip_reference.
+        /tip_reference, of further tips on /tips/NAME and /tip_references/NAME.
 
         The file is written atomically: whatever interrupts the writing, the old file or the new one is there, complete.
 
@@ -215,7 +256,8 @@ class Log:
 
                 save_mcap(temporary, self)
             else:
-                everything = {f.name: getattr(self, f.name) for f in fields(self)}
+                left_out = () if self.tip_names else ("tip_names", *_OTHER_TIPS)
+                everything = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in left_out}
                 arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
                 facts = {k: x for k, x in everything.items() if k not in arrays}
                 log_files.save(temporary, log_files.LogContent(arrays, facts))
@@ -370,7 +412,11 @@ def _of_earlier_versions(meta: Mapping[str, Any]) -> Mapping[str, Any]:
 def _checked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a log from a file; an InputError says which of them cannot be."""
     meta = _of_earlier_versions(meta)
-    missing = {f.name for f in fields(Log)} - {*arrays, *meta} - {"contacts", "wrench"}
+    tip_names = words("tip_names", meta.get("tip_names", ()))
+    if not tip_names:
+        arrays = {name: array for name, array in arrays.items() if name not in _OTHER_TIPS}
+    needed = {f.name for f in fields(Log)} - {"contacts", "wrench", "tip_names"} - (set() if tip_names else {*_OTHER_TIPS})
+    missing = needed - {*arrays, *meta}
     unknown = ({*arrays, *meta} - {f.name for f in fields(Log)}) | (set(arrays) & set(meta))
     if missing or unknown:
         raise InputError(f"its fields do not fit: missing {shown(sorted(missing))}, unknown {shown(sorted(unknown))}")
@@ -380,49 +426,52 @@ def _checked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, 
     for name in ("robot", "controller", "plant", "failure"):
         instance(name, meta[name], str, "give a name")
     dt = number("dt", meta["dt"], 1e-12, 1e4)
-    _check_arrays(arrays, len(joint_names), dt)
+    _check_arrays(arrays, len(joint_names), len(tip_names), dt)
     factor = meta["real_time_factor"]
-    known = {
+    facts = {
         "joint_names": joint_names,
+        "tip_names": tip_names,
         "dt": dt,
         "motion_duration": number("motion_duration", meta["motion_duration"], 0.0),
         "real_time_factor": factor if factor in (math.inf, -math.inf) else number("real_time_factor", factor),
         "continuous": flag("continuous", meta["continuous"]),
         "contacts": tuple(_contact(each) for each in meta.get("contacts", ())),
     }
-    return {**arrays, **meta, **known}
+    return {**arrays, **meta, **facts}
 
 
-def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
+def _check_arrays(arrays: Mapping[str, Array], n: int, tips: int, dt: float) -> None:
     ticks = len(arrays["t"]) if np.ndim(arrays["t"]) == 1 else -1
     nq = arrays["qpos"].shape[1:]
-    shapes: dict[str, tuple[int, ...]] = {"t": (ticks,), "tau_max": (n,), "target": (7,)}
+    others = _OTHER_TIPS if tips else ()
+    width = len(POSE_AXES) * (tips - 1)
+    shapes: dict[str, tuple[int, ...]] = {"t": (ticks,), "tau_max": (n,), "target": (7,), "other_targets": (width,)}
     for name, quantity in QUANTITIES.items():
-        shapes[name] = (ticks, n) if quantity.is_per_joint else (ticks, len(quantity.axes))
+        shapes[name] = (ticks, n if quantity.is_per_joint else width if quantity.is_per_tip else len(quantity.axes))
     shapes["qpos"] = (ticks, *nq)
     if arrays["qpos"].shape == (0, 0):  # a log without positions of the model
         shapes["qpos"] = (0, 0)
-    if not len(arrays.get("wrench", ())):
-        del shapes["wrench"]
+    shapes = {name: shape for name, shape in shapes.items() if name in arrays and (name != "wrench" or len(arrays[name]))}
     for name, shape in shapes.items():
         column = arrays[name]
         if column.dtype != np.float64 or column.shape != shape or len(nq) != 1:
             raise InputError(f"{name}: expected float64 of shape {shape}, got {column.dtype} of shape {column.shape}")
-    for name in ("t", *STATES, "tip", "tip_quat", "qpos"):
+    for name in ("t", *STATES, "tip", "tip_quat", "qpos", *others[:1]):
         # A recording does not contain the tip, and a robot without torque sensors no torque.
         unknown = name.startswith(("tip", "tau")) and np.isnan(arrays[name]).all()
         if not np.isfinite(arrays[name]).all() and not unknown:
             raise InputError(f"{name}: a number is not finite")
-    for name in ("t", "q", "v", "tip", "qpos"):
+    for name in ("t", "q", "v", "tip", "qpos", *others[:1]):
         if (np.abs(arrays[name]) > _MAX_STATE).any():
             raise InputError(f"{name}: a number is above {_MAX_STATE:g}")
-    for name in (*REFERENCES, "tip_ref", "tip_ref_quat", "target"):
+    for name in (*REFERENCES, "tip_ref", "tip_ref_quat", "target", *others[1:]):
         if np.isinf(arrays[name]).any():
             raise InputError(f"{name}: a number is infinite")
     if not (arrays["tau_max"] > 0).all():
         raise InputError("tau_max: a torque limit is not greater than 0")
-    for name in ("tip_quat", "tip_ref_quat", "target"):
-        norms = np.linalg.norm(np.atleast_2d(arrays[name])[:, -4:], axis=1)
+    for name in ("tip_quat", "tip_ref_quat", "target", *others):
+        poses = arrays[name].reshape(-1, len(POSE_AXES)) if name in others else np.atleast_2d(arrays[name])
+        norms = np.linalg.norm(poses[:, -4:], axis=1)
         if not (np.isnan(norms) | (np.abs(norms - 1) < _QUATERNION_TOLERANCE)).all():
             raise InputError(f"{name}: a quaternion does not have length 1")
     if not np.allclose(np.diff(arrays["t"]), dt, rtol=1e-6, atol=1e-9 * dt + 1e-15 * ticks):

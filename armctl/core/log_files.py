@@ -100,7 +100,7 @@ def _tabular(content: LogContent) -> tuple[dict[str, Any], list[LogColumn]]:
     """The facts, with the arrays that are not over time among them, and the columns of the arrays over time."""
     arrays = content.arrays
     optional = widths(arrays)
-    layout = columns(content.facts["joint_names"], content.facts["units"], optional)
+    layout = columns(content.facts["joint_names"], content.facts["units"], optional, content.facts.get("tip_names", ()))
     constant = {name: values.tolist() for name, values in arrays.items() if name != "t" and name not in QUANTITIES}
     return {**content.facts, "arrays": constant, "optional": optional}, layout
 
@@ -112,7 +112,7 @@ def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) 
     optional = facts.pop("optional")
     if not all(isinstance(width, int) and 0 <= width <= len(header) for width in optional.values()):
         raise InputError("its columns are not counted")
-    layout = columns(facts["joint_names"], facts["units"], optional)
+    layout = columns(facts["joint_names"], facts["units"], optional, facts.get("tip_names", ()))
     if [column.name for column in layout] != list(header) or len(table) != len(header):
         raise InputError("its columns are not those of its joints")
     names = dict.fromkeys(column.array for column in layout)
@@ -121,8 +121,11 @@ def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) 
         arrays[column.array].append(np.asarray(values))
     stacked = {name: np.column_stack(parts) for name, parts in arrays.items()}
     stacked["t"] = stacked["t"][:, 0]
+    others = len(facts.get("tip_names", ())) - 1
     for name in QUANTITIES.keys() - stacked.keys():
-        stacked[name] = np.zeros((0, len(QUANTITIES[name].axes)))
+        quantity = QUANTITIES[name]
+        if not quantity.is_per_tip or others > 0:
+            stacked[name] = np.zeros((0, len(quantity.axes) * (others if quantity.is_per_tip else 1)))
     return LogContent(stacked | {name: np.array(values, dtype=np.float64) for name, values in constant.items()}, facts)
 
 

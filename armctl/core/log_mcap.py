@@ -43,13 +43,18 @@ float64 w
 
 
 def save_mcap(path: Path, log: Any) -> None:
-    """Writes /joint_states, /joint_references, /tip and /tip_reference; references only if the run had any."""
+    """Writes /joint_states, /joint_references, /tip and /tip_reference, /tips/NAME of others; references if there are any."""
     mcap = import_extra("mcap_ros2.writer", "MCAP files need mcap-ros2-support", "ros")
     joint_topics: dict[str, tuple[Array, Array, Array | None]] = {"/joint_states": (log.q, log.v, log.tau)}
     tip_topics = {"/tip": (log.tip, log.tip_quat)}
     if not log.is_open_loop:
         joint_topics["/joint_references"] = (log.q_ref, log.v_ref, None)
         tip_topics["/tip_reference"] = (log.tip_ref, log.tip_ref_quat)
+    for name in log.tip_names[1:]:
+        tip = log.tips[name]
+        tip_topics[f"/tips/{name}"] = (tip.position, tip.quat)
+        if not log.is_open_loop:
+            tip_topics[f"/tip_references/{name}"] = (tip.position_ref, tip.quat_ref)
     names = list(log.joint_names)
     with path.open("wb") as file, mcap.Writer(file) as writer:
         joint_schema = writer.register_msgdef("sensor_msgs/msg/JointState", _JOINT_STATE)

@@ -66,7 +66,7 @@ def four_panels(
             f"joint {'position' if 'm' in log.units else 'angle'}, {units.label(log.units)}{dashed}",
             f"joint velocity, {units.label(log.units, '/s')}{dashed}",
             f"motor torque, {units.label(units.of_torque(log.units))}",
-            f"tip position, m{dashed}",
+            f"{next(iter(log.tips))} position, m{dashed}",
         )
         for panel, above in zip(axes, titles, strict=True):
             panel.set_title(above)
@@ -204,5 +204,5 @@ def _target(ax: Axes, log: Log) -> None:
 
 
 def _tip_error(log: Log) -> Array:
-    """(T,) m, the distance of the tip from its reference."""
-    return np.linalg.norm(log.tip - log.tip_ref, axis=1)
+    """(T,) m, the distance of the tip from its reference; of several tips that of the farthest one."""
+    return np.max([np.linalg.norm(tip.position - tip.position_ref, axis=1) for tip in log.tips.values()], axis=0)

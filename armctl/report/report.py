@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,13 +20,15 @@ from armctl.core.result import Verdict
 from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.units import above_text, length_text
-from armctl.core.validation import Array, BoolArray, instance, number, shown
+from armctl.core.validation import BoolArray, instance, number, shown
 from armctl.report.plot import four_panels
+from armctl.report.tip_errors import TipErrors, distances, errors_of, goal_of, judged_tips, largest, overshoot, rms, vibration
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MAX_CONTACTS_SHOWN = 3
+_LABEL_WIDTH = 11
 _MIN_JOINT_ERROR_SHOWN = 1e-15
 _MIN_CHATTER_SHOWN = 1e-3  # N m (N)
 _REST_TICKS = 6  # intervals between ticks without motion of the reference, around a tick that counts as rest
@@ -36,6 +38,8 @@ _LAST_TICKS = 50  # in which an unstable loop shows: its torques alternate, alth
 @dataclass(frozen=True, eq=False)
 class Report(Verdict):
     """The figures of one run. A figure that has no meaning for the run is NaN (null in `to_dict`).
+
+    Of an arm with several tips, a figure of the tip is the largest one of those with a target; of all, if none has one.
 
     Attributes:
         ok: Whether the run was completed and the tip was at its goal at the end.
@@ -67,6 +71,7 @@ class Report(Verdict):
         residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
             rests.
         slowest_pole_per_s: 1/s, the lowest rate with which an error decays, by its slowest pole; NaN as for the delay margin.
+        tip_errors: The errors of each tip by name, of an arm with several; empty for one.
     """
 
     ok: bool
@@ -98,6 +103,7 @@ class Report(Verdict):
     damping_ratio: float = math.nan
     residual_vibration_m: float = math.nan
     slowest_pole_per_s: float = math.nan
+    tip_errors: Mapping[str, TipErrors] = field(default_factory=dict)
 
     @classmethod
     def from_log(cls, log: Log, tolerance: float = TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE) -> Report:
@@ -128,14 +134,15 @@ class Report(Verdict):
         slides = np.array([unit == "m" for unit in log.units])
         hinge_error = joint_error[:, ~slides]
         slide_error = joint_error[:, slides]
-        tip_error = np.linalg.norm(log.tip - log.tip_ref, axis=1)[moving]
-        goal, goal_quat = _goal(log)
-        distance = np.linalg.norm(log.tip - goal, axis=1)
-        final = float(distance[-1])
-        angle = _angle(log.tip_quat[-1], goal_quat)
-        reason = _reason(log, final, angle, tolerance, angle_tolerance)
+        tips = judged_tips(log)
+        errors = {name: errors_of(tip, moving) for name, tip in log.tips.items()}
+        judged = [errors[name] for name in tips]
+        final = max(each.final_m for each in judged)
+        reason = _reason(log, {name: errors[name] for name in tips}, tolerance, angle_tolerance)
         outcome = _outcome(log, reason)
-        details = reason or f"the tip ended {length_text(final)} from its goal after {len(log) * log.dt:.2f} s"
+        which = "the tips ended at most" if log.tip_names else "the tip ended"
+        goals = "their goals" if log.tip_names else "its goal"
+        details = reason or f"{which} {length_text(final)} from {goals} after {len(log) * log.dt:.2f} s"
         return cls(
             ok=not reason,
             reason=reason,
@@ -144,26 +151,25 @@ class Report(Verdict):
             robot=log.robot,
             controller=log.controller,
             plant=log.plant,
-            joint_rms_rad=_rms(hinge_error),
-            joint_max_rad=_max(hinge_error),
-            joint_rms_m=_rms(slide_error),
-            joint_max_m=_max(slide_error),
-            tip_rms_m=_rms(tip_error),
-            tip_max_m=_max(tip_error),
+            joint_rms_rad=rms(hinge_error),
+            joint_max_rad=largest(hinge_error),
+            joint_rms_m=rms(slide_error),
+            joint_max_m=largest(slide_error),
+            tip_rms_m=max(each.rms_m for each in judged),
+            tip_max_m=max(each.max_m for each in judged),
             final_tip_error_m=final,
-            final_orientation_error_rad=angle,
-            settling_time_s=_settling_time(log, distance <= tolerance),
-            overshoot_m=max(0.0, _overshoot(log.tip, goal) - _overshoot(log.tip_ref, goal)),
+            final_orientation_error_rad=max(each.final_orientation_rad for each in judged),
+            settling_time_s=_settling_time(log, np.all([distances(tip) <= tolerance for tip in tips.values()], axis=0)),
+            overshoot_m=max(overshoot(tip) for tip in tips.values()),
             peak_torque_ratio=float(np.abs(log.tau / log.tau_max).max()),
             saturated_fraction=float((np.abs(log.tau_cmd) > log.tau_max * (1 + 1e-9)).any(axis=1).mean()),
             chatter_nm=_chatter(log),
-            residual_vibration_m=_max(np.linalg.norm(log.tip[~moving] - log.tip[~moving].mean(axis=0), axis=1))
-            if (~moving).any()
-            else math.nan,
+            residual_vibration_m=max(vibration(tip.position[~moving]) for tip in tips.values()),
             contacts=log.contacts,
             duration_s=len(log) * log.dt,
             real_time_factor=log.real_time_factor,
             log=log,
+            tip_errors=errors if log.tip_names else {},
         )
 
     @classmethod
@@ -207,6 +213,9 @@ class Report(Verdict):
         """Every attribute but the log by name, for JSON: NaN and infinity become None."""
         figures = {k: v for k, v in self.__dict__.items() if k != "log"}
         figures["contacts"] = [contact._asdict() for contact in self.contacts]
+        tips = figures.pop("tip_errors")
+        if tips:
+            figures["tip_errors"] = {name: errors._asdict() for name, errors in tips.items()}
         return json_value(figures)
 
     def plot(
@@ -230,14 +239,12 @@ class Report(Verdict):
     def _rows(self) -> dict[str, str]:
         torque_unit = units.label(units.of_torque(self.log.units))
         settled = f"settled after {self.settling_time_s:.3f} s" if math.isfinite(self.settling_time_s) else "never settled"
-        turned = "" if np.isnan(_goal(self.log)[1]).any() else f", {_deg(self.final_orientation_error_rad)}"
         is_known = not math.isnan(self.chatter_nm)  # unless the motion is too short for it
         chatter = f", chatter {_chatter_text(self.chatter_nm)} {torque_unit}" if is_known else ""
         rows = {
             "run": f"{self.robot}, {self.controller}, {self.duration_s:.3f} s in ticks of {1e3 * self.log.dt:g} ms,"
             f" {self.real_time_factor:.0f} times real time",
-            "tip error": f"final {length_text(self.final_tip_error_m)}{turned}; while moving RMS {length_text(self.tip_rms_m)},"
-            f" max {length_text(self.tip_max_m)}",
+            **self._tip_rows(),
             "joint error": f"while moving RMS {_joint_error(self.joint_rms_rad, self.joint_rms_m, with_unit=True)},"
             f" max {_joint_error(self.joint_max_rad, self.joint_max_m, with_unit=True)}",
             "at the goal": f"{settled}, overshoot {length_text(self.overshoot_m)}",
@@ -250,10 +257,23 @@ class Report(Verdict):
             rows["wrench"] = f"a flange sensor does not measure the force on {', '.join(self.log.unmeasured_bodies)}"
         return rows
 
+    def _tip_rows(self) -> dict[str, str]:
+        """The errors of the tip, or of each tip by name."""
+        one = TipErrors(self.final_tip_error_m, self.final_orientation_error_rad, self.tip_rms_m, self.tip_max_m, True)
+        errors = self.tip_errors or {"tip error": one}
+        rows = {}
+        for (label, each), tip in zip(errors.items(), self.log.tips.values(), strict=True):
+            turned = "" if np.isnan(goal_of(tip)[1]).any() else f", {_deg(each.final_orientation_rad)}"
+            final = f"final {length_text(each.final_m)}{turned}"
+            rows[label] = f"{final}; while moving RMS {length_text(each.rms_m)}, max {length_text(each.max_m)}"
+        return rows
+
     def __str__(self) -> str:
         if not len(self.log):
             return self.verdict
-        return "\n".join([self.verdict, *(f"  {label:11}  {text}" for label, text in self._rows().items())])
+        rows = self._rows()
+        width = max(_LABEL_WIDTH, *map(len, rows))
+        return "\n".join([self.verdict, *(f"  {label:{width}}  {text}" for label, text in rows.items())])
 
     def _repr_html_(self) -> str:
         return Table(["", self.verdict], list(self._rows().items())).html()
@@ -347,22 +367,17 @@ def best_cells(reports: Sequence[Report], *, with_plant: bool = True) -> set[tup
     return best
 
 
-def _goal(log: Log) -> tuple[Array, Array]:
-    """The final position, (3,) m, and orientation, (4,) wxyz or NaN if it is free."""
-    if np.isnan(log.target[:3]).any():
-        return log.tip_ref[-1], log.tip_ref_quat[-1]
-    return log.target[:3], log.target[3:]
-
-
-def _reason(log: Log, final: float, angle: float, tolerance: float, angle_tolerance: float) -> str:
+def _reason(log: Log, tips: Mapping[str, TipErrors], tolerance: float, angle_tolerance: float) -> str:
     """Why the run failed; empty if it did not."""
     if log.failure:
         return log.failure
     reasons = []
-    if not final <= tolerance:
-        reasons.append(f"the tip ended {above_text(final, tolerance)} from its goal ({length_text(tolerance)} allowed)")
-    elif not angle <= angle_tolerance:
-        reasons.append(f"the tip ended {angle:.3g} rad from its orientation ({angle_tolerance:g} rad allowed)")
+    for name, (final, angle, *_) in tips.items():
+        which = name if log.tip_names else "the tip"
+        if not final <= tolerance:
+            reasons.append(f"{which} ended {above_text(final, tolerance)} from its goal ({length_text(tolerance)} allowed)")
+        elif not angle <= angle_tolerance:
+            reasons.append(f"{which} ended {angle:.3g} rad from its orientation ({angle_tolerance:g} rad allowed)")
     jumps = np.abs(np.diff(log.tau[-_LAST_TICKS:], axis=0)) > log.tau_max
     if len(jumps) and jumps.mean(axis=0).max() > 0.5:
         ticks = f"from tick to tick: the loop is unstable at its period of {1e3 * log.dt:g} ms, or amplifies noise"
@@ -393,12 +408,6 @@ def _settling_time(log: Log, inside: BoolArray) -> float:
     return max(0.0, float(entered) - log.motion_duration)
 
 
-def _overshoot(tip: Array, goal: Array) -> float:
-    way = goal - tip[0]
-    length = float(np.linalg.norm(way))
-    return max(0.0, float(((tip - goal) @ way).max()) / length) if length > 1e-9 else 0.0
-
-
 def _chatter(log: Log) -> float:
     if len(log) <= _REST_TICKS:
         return math.nan
@@ -406,22 +415,7 @@ def _chatter(log: Log) -> float:
     # The torque of a tick depends on the reference around it.
     around = np.lib.stride_tricks.sliding_window_view(rests, _REST_TICKS).all(axis=1)
     ticks = np.flatnonzero(around) + _REST_TICKS // 2
-    return _rms(log.tau[ticks] - 0.5 * (log.tau[ticks - 1] + log.tau[ticks + 1]))
-
-
-def _angle(quat: Array, goal_quat: Array) -> float:
-    if np.isnan(goal_quat).any():
-        return 0.0
-    chord = min(float(np.linalg.norm(quat - goal_quat)), float(np.linalg.norm(quat + goal_quat)))
-    return 4 * math.asin(min(1.0, 0.5 * chord))
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(x)))) if x.size else math.nan
-
-
-def _max(x: Array) -> float:
-    return float(np.abs(x).max()) if x.size else math.nan
+    return rms(log.tau[ticks] - 0.5 * (log.tau[ticks - 1] + log.tau[ticks + 1]))
 
 
 def _margin_text(value: float) -> str:

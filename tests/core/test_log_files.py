@@ -26,7 +26,7 @@ def same(one: object, other: object) -> bool:
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-@pytest.mark.parametrize("kind", ["a run", "a recording", "no ticks"])
+@pytest.mark.parametrize("kind", ["a run", "a recording", "no ticks", "two tips", "two tips, no ticks"])
 def test_a_log_is_the_same_after_saving_and_loading(log, tmp_path, ending: str, kind: str):
     contact = armctl.Contact("arm", "wall, left", 0.1, 0.2)
     odd = dataclasses.replace(
@@ -43,13 +43,26 @@ def test_a_log_is_the_same_after_saving_and_loading(log, tmp_path, ending: str, 
             qpos=np.zeros((0, 0)),
             wrench=log.wrench,
         )
-    if kind == "no ticks":
-        over_time = [f.name for f in dataclasses.fields(log) if np.ndim(getattr(log, f.name)) and len(getattr(log, f.name)) > 9]
-        odd = dataclasses.replace(odd, **{name: getattr(log, name)[:0] for name in over_time})
+    if "two tips" in kind:
+        other = np.column_stack([0.5 * odd.tip, odd.tip_quat])
+        end = np.concatenate([np.zeros(3), np.full(4, np.nan)])
+        more = {"tip_names": ("left/hand", "right, hand"), "other_tips": other, "other_tips_ref": other, "other_targets": end}
+        odd = dataclasses.replace(odd, **more)
+    if "no ticks" in kind:
+        over_time = [f.name for f in dataclasses.fields(log) if np.ndim(getattr(odd, f.name)) and len(getattr(odd, f.name)) > 9]
+        odd = dataclasses.replace(odd, **{name: getattr(odd, name)[:0] for name in over_time})
         odd = dataclasses.replace(odd, qpos=np.zeros((0, 0)), wrench=np.zeros((0, 6)))
     loaded = armctl.Log.load(odd.save(tmp_path / f"run{ending}"))
     different = [f.name for f in dataclasses.fields(log) if not same(getattr(odd, f.name), getattr(loaded, f.name))]
     assert different == []
+
+
+def test_a_file_of_one_tip_says_nothing_of_others(log, tmp_path):
+    with np.load(log.save(tmp_path / "run.npz")) as file:
+        assert not {name for name in file.files if "other" in name}
+        assert "tip_names" not in str(file["meta"])
+    assert list(log.tips) == ["tip"]
+    assert log.tips["tip"].position is log.tip
 
 
 @pytest.mark.parametrize("ending", ENDINGS)

@@ -63,6 +63,13 @@ def test_the_figures_are_what_they_say():
     assert "2 mm from its goal" in report.verdict
 
 
+def test_the_report_of_one_tip_says_nothing_of_others():
+    report = Report.from_log(made_log())
+    assert report.tip_errors == {}
+    assert "tip_errors" not in report.to_dict()
+    assert "  tip error    final 2 mm, <1e-06 deg; while moving RMS <1 nm, max <1 nm" in str(report).splitlines()
+
+
 def test_the_goal_is_the_target_where_there_is_one():
     target = np.array([0.102, 0, 0, np.nan, np.nan, np.nan, np.nan])
     report = Report.from_log(made_log(target=target))

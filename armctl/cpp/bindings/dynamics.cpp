@@ -181,6 +181,26 @@ void bind_all_states(nb::module_& module) {
         "The torques that hold the arm still: (T, n) N m.");
     bind_states(module, "tips", tip_pose, {{{"q", 1}, {"positions", 0, 3}, {"rotations", 0, 9}}},
                 "Positions (T, 3) m and rotation matrices (T, 9), row by row, of the tip in the world at each row of q (T, n).");
+    module.def(
+        "frames",
+        [](const Model& model, const In& q, std::int64_t joint, const In& placement, const Out& positions, const Out& rotations) {
+            const size_t count = q.length("q");
+            const Matrix rows = q.matrix(count, model->n(), "q");
+            const Pose T_joint_frame = pose_of(placement.vector(12, "placement"));
+            const MatrixResult position_rows = positions.matrix(count, 3, "positions");
+            const MatrixResult rotation_rows = rotations.matrix(count, 9, "rotations");
+            checked_index(joint + 1, model->joints.size() + 1, "joint");
+            const nb::gil_scoped_release release;
+            Dynamics dynamics(model);
+            for (size_t k = 0; k < count; ++k) {
+                dynamics.locate(rows.row(k));
+                const Pose pose = dynamics.joint_frame(static_cast<int>(joint)) * T_joint_frame;
+                pose.translation.store(position_rows.row(k));
+                pose.rotation.to_rows(rotation_rows.row(k));
+            }
+        },
+        "model"_a, "q"_a, "joint"_a, "placement"_a, "positions"_a, "rotations"_a,
+        "As `tips`, of a frame that a joint carries (-1: the world) at a placement (12,) in it: rotation row by row, position.");
     bind_states(
         module, "mass_matrices",
         +[](Dynamics& arm, Vector q, Result M) {

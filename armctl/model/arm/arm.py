@@ -25,7 +25,7 @@ from armctl.core.tables import Table
 from armctl.core.validation import Array, IntArray, inertia_tensor, instance, matrix, number, vector
 from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.arm_equations import ArmEquations
-from armctl.model.arm.core_model import tips
+from armctl.model.arm.core_model import frames, tips
 from armctl.model.arm.dynamics import Dynamics, core_model, make_dynamics
 from armctl.model.arm.joint_map import JointMap
 from armctl.model.arm.mechanics import Mechanics
@@ -309,16 +309,23 @@ class Arm(ArmEquations):
         unit = self.units[i]
         return f"{self.joint_names[i]}: {value:g} {unit} is outside [{low:.3f}, {high:.3f}] {unit}"
 
-    def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:
+    def fk_many(self, q: ArrayLike, tip: str | None = None) -> tuple[Array, Array]:
         """Forward kinematics of many positions at once.
 
         Args:
             q: (T, n) rad.
+            tip: One of `tips`; the first one if left out.
 
         Returns:
             Tip positions (T, 3) m and rotation matrices (T, 3, 3), in the world.
+
+        Raises:
+            UnknownNameError: The arm has no such tip.
         """
-        return tips(self.core_model, matrix("q", q, self.n))
+        given = matrix("q", q, self.n)
+        if tip is None or tip == self.tip:
+            return tips(self.core_model, given)
+        return frames(self.core_model, given, *self.pinocchio_model.carried(self._tip_number(tip)))
 
     @property
     def _dynamics(self) -> Dynamics:

@@ -110,6 +110,14 @@ def tips(core: _core.ArmModel, q: Array) -> tuple[Array, Array]:
     return positions, rotations
 
 
+def frames(core: _core.ArmModel, q: Array, joint: int, placement: Array) -> tuple[Array, Array]:
+    """As `tips`, of a frame that a joint carries (-1: the world) at a placement (12,) in it."""
+    positions = np.empty((len(q), 3))
+    rotations = np.empty((len(q), 3, 3))
+    _core.frames(core, np.ascontiguousarray(q), joint, placement, positions, rotations.reshape(-1, 9))
+    return positions, rotations
+
+
 def inverse_dynamics(core: _core.ArmModel, q: Array, v: Array, a: Array) -> Array:
     """The torques at many states, each (T, n), without dry friction."""
     tau = np.empty(q.shape)

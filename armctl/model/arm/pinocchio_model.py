@@ -84,6 +84,12 @@ class PinocchioModel:
         T = data.oMf[self.tip_frame + index]
         return T.translation, T.rotation
 
+    def carried(self, index: int) -> tuple[int, Array]:
+        """The joint that carries a tip by its number, -1 for the world, and the tip in that joint's frame (12,)."""
+        frame = self.pin_model.frames[self.tip_frame + index]
+        placement = frame.placement
+        return frame.parentJoint - 1, np.concatenate([placement.rotation.ravel(), placement.translation])
+
     def jacobian(self, q: Array, index: int = 0) -> Array:
         """The Jacobian (6, n) of a tip by its number at q (n,), linear first, world axes."""
         J = pin.computeFrameJacobian(self.pin_model, self._memory.data, q, self.tip_frame + index, WORLD_AXES_AT_TIP)

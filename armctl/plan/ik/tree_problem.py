@@ -181,9 +181,9 @@ def tree_of(arm: Arm) -> Tree:
 
 def _make_tree(arm: Arm) -> Tree:
     body = arm.pinocchio_model
-    frames = [body.pin_model.frames[body.tip_frame + k] for k in range(len(arm.tips))]
-    joints = np.array([frame.parentJoint - 1 for frame in frames])
-    placements = np.array([np.concatenate([frame.placement.rotation.ravel(), frame.placement.translation]) for frame in frames])
+    carried = [body.carried(k) for k in range(len(arm.tips))]
+    joints = np.array([joint for joint, _ in carried])
+    placements = np.array([placement for _, placement in carried])
     joint_map = arm.joint_map
     is_slide = arm.model.jnt_type[list(joint_map.joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE)
     reach = (

@@ -34,10 +34,9 @@ from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.planner.free_space import FreeSpace
 from armctl.plan.planner.move_free import move_free_with
 from armctl.run.execution.drive import Drive, hold_reference
-from armctl.run.execution.recorder import Recorder, RunInfo, ticks_for
+from armctl.run.execution.recorder import NO_TARGET, Recorder, RunInfo, ticks_for
 
 SETTLE_CHECK_INTERVAL_S = 0.02
-NO_TARGET = np.full(7, np.nan)
 _MAX_CONTACTS_IN_REASON = 3
 
 
@@ -197,6 +196,7 @@ class RunPurpose:
 
     duration: float = 0.0  # s, until the reference is at rest
     target: Array = field(default_factory=NO_TARGET.copy)  # (7,) position, m, and quaternion
+    targets: Mapping[str, Array] = field(default_factory=dict)  # (7,) likewise by tip, of an arm with several
 
 
 class ControlledArm:
@@ -267,7 +267,8 @@ class ControlledArm:
         begin = drive.data.time
         reference = drive.reference(trajectory, ticks_for(trajectory.duration, drive.dt))
         is_done = False
-        with self.recording(RunPurpose(trajectory.duration, move.target.numbers)) as recorder:
+        targets = {tip: target.numbers for tip, target in move.tip_targets.items()}
+        with self.recording(RunPurpose(trajectory.duration, move.target.numbers, targets)) as recorder:
             self._run(trajectory, reference, recorder)
             hold = hold_reference(drive, ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
             deadline = drive.data.time + SETTLE_TIMEOUT_S
@@ -339,6 +340,7 @@ class ControlledArm:
             dt=drive.dt,
             motion_duration=float(purpose.duration),
             target=purpose.target,
+            targets=purpose.targets,
             wall_time=time.perf_counter() - recorder.started,
             failure=failure,
         )

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import mujoco
@@ -17,11 +17,12 @@ from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, read_only
 from armctl.model.arm.actuation import Actuation
 from armctl.model.arm.arm import Arm
-from armctl.model.arm.core_model import quaternions, tips
+from armctl.model.arm.core_model import frames, quaternions, tips
 from armctl.model.mjmodel.queries import body_name, geom_owner_name
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
 _MAX_KEPT_ROWS = 20_000  # of a reference
+NO_TARGET = np.full(7, np.nan)  # of a tip
 _RECORDED = ("qpos", *STATES[1:])  # q is part of qpos
 
 
@@ -47,18 +48,33 @@ class TickRows:
         return self.wrench
 
 
+class TipPoses(NamedTuple):
+    """Where the tips of an arm are over time: the first one, and the K others next to each other."""
+
+    position: Array  # (T, 3) m
+    quat: Array  # (T, 4) wxyz
+    others: Array  # (T, 7 K) m and wxyz; (0, 0) for one tip
+
+    @classmethod
+    def at(cls, arm: Arm, q: Array) -> "TipPoses":
+        """The tips at q (T, n) rad."""
+        first = tips(arm.core_model, q)
+        others = [frames(arm.core_model, q, *arm.pinocchio_model.carried(k)) for k in range(1, len(arm.tips))]
+        columns = [column for position, rotation in others for column in (position, quaternions(rotation))]
+        return cls(first[0], quaternions(first[1]), np.column_stack(columns) if columns else np.zeros((0, 0)))
+
+
 class ReferenceTips:
     """The tips of the last reference: many runs follow the same one."""
 
     def __init__(self) -> None:
-        self._last: tuple[_core.ArmModel, Array, tuple[Array, Array]] | None = None
+        self._last: tuple[_core.ArmModel, Array, TipPoses] | None = None
 
-    def of(self, model: _core.ArmModel, q_ref: Array) -> tuple[Array, Array]:
-        """Positions (T, 3) and quaternions (T, 4) of the tip at q_ref (T, n) rad, which must not change later."""
+    def of(self, arm: Arm, q_ref: Array) -> TipPoses:
+        """The tips of an arm at q_ref (T, n) rad, which must not change later."""
         last = self._last
-        if last is None or last[0] is not model or last[1] is not q_ref:
-            positions, rotations = tips(model, q_ref)
-            last = (model, q_ref, (positions, quaternions(rotations)))
+        if last is None or last[0] is not arm.core_model or last[1] is not q_ref:
+            last = (arm.core_model, q_ref, TipPoses.at(arm, q_ref))
             self._last = last if len(q_ref) <= _MAX_KEPT_ROWS else None
         return last[2]
 
@@ -76,6 +92,7 @@ class RunInfo(NamedTuple):
     target: Array
     wall_time: float
     failure: str
+    targets: Mapping[str, Array] = {}  # (7,) by tip, of an arm with several
 
 
 class Recorder:
@@ -125,8 +142,8 @@ class Recorder:
         dt = run.dt
         columns = self._columns()
         qpos = columns.pop("qpos")
-        tip, rotations = tips(arm.core_model, columns["q"])
-        tip_ref, tip_ref_quat = self._tips.of(arm.core_model, columns["q_ref"])
+        seen = TipPoses.at(arm, columns["q"])
+        reference = self._tips.of(arm, columns["q_ref"])
         return Log(
             robot=arm.name,
             joint_names=arm.joint_names,
@@ -142,14 +159,18 @@ class Recorder:
             real_time_factor=self.size * dt / max(run.wall_time, 1e-9),
             failure=run.failure,
             t=dt * np.arange(self.size, dtype=np.float64),
-            tip=tip,
-            tip_quat=quaternions(rotations),
-            tip_ref=tip_ref,
-            tip_ref_quat=tip_ref_quat,
+            tip=seen.position,
+            tip_quat=seen.quat,
+            tip_ref=reference.position,
+            tip_ref_quat=reference.quat,
             qpos=qpos[:, : arm.model.nq],
             units=arm.units,
             contacts=self._contacts(arm, dt),
             wrench=self._wrenches(),
+            tip_names=arm.tips if arm.further_tips else (),
+            other_tips=seen.others,
+            other_tips_ref=reference.others,
+            other_targets=np.concatenate([run.targets.get(tip.name, NO_TARGET) for tip in arm.further_tips] or [NO_TARGET[:0]]),
             **columns,
         )
 

@@ -1,5 +1,7 @@
 """Moves of several tips at once, and of an arm on a base that moves. MuJoCo judges."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -48,6 +50,41 @@ def test_both_tips_arrive_and_never_touch(simulation):
     assert not result.log.contacts
     assert result.clearance > 0.0
     assert result.position_error < 1e-3
+
+
+def test_the_log_has_all_tips_and_the_report_tells_them_apart(simulation, tmp_path):
+    target = site(simulation, "r") + np.array([-0.05, 0.0, 0.1])
+    log = simulation.move_to({"r": target}).log
+    data = mujoco.MjData(simulation.model)
+    for k in (0, len(log) // 2, len(log) - 1):
+        data.qpos[:] = log.qpos[k]
+        mujoco.mj_kinematics(simulation.model, data)
+        for name, tip in log.tips.items():
+            assert np.allclose(tip.position[k], data.site(name).xpos, atol=1e-9)
+            quat = np.empty(4)
+            mujoco.mju_mat2Quat(quat, data.site(name).xmat)
+            assert abs(tip.quat[k] @ quat) == pytest.approx(1.0, abs=1e-9)
+    assert np.array_equal(log.tips["r"].target[:3], target)
+    report = armctl.Report.from_log(log)
+    assert report.ok
+    assert set(report.tip_errors) == {"l", "r"}
+    errors = report.tip_errors["r"]
+    assert errors.final_m == pytest.approx(np.linalg.norm(log.tips["r"].position[-1] - target))
+    assert errors.max_m == pytest.approx(np.linalg.norm(log.tips["r"].position - log.tips["r"].position_ref, axis=1).max())
+    assert report.to_dict()["tip_errors"] == {name: each._asdict() for name, each in report.tip_errors.items()}
+    assert [line.split()[0] for line in str(report).splitlines()[2:4]] == ["l", "r"]
+    assert str(armctl.Report.from_log(armctl.Log.load(log.save(tmp_path / "run.parquet")))) == str(report)
+
+
+def test_the_report_names_the_tip_that_missed(simulation):
+    log = simulation.move_to({"r": site(simulation, "r") + np.array([-0.05, 0.0, 0.1])}).log
+    shifted = log.other_targets.copy()
+    shifted[2] += 0.05
+    report = armctl.Report.from_log(dataclasses.replace(log, other_targets=shifted))
+    assert not report.ok
+    assert "r ended 50 mm from its goal" in report.reason
+    assert "l ended" not in report.reason
+    assert report.final_tip_error_m == pytest.approx(0.05, abs=1e-4)
 
 
 def test_a_tip_that_stays_is_where_it_was_at_the_end(simulation):
