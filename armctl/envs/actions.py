@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armctl import _core
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, few_names
 from armctl.core.limits import Limits
 from armctl.model.arm.arm import Arm
 
@@ -25,6 +25,14 @@ class ActionMode:
     position_scale: float = 0.0  # m, of a full action
     rotation_scale: float = 0.0  # rad, of a full action
     is_smooth: bool = False  # whether the reference keeps the jerk limits too, which delays it
+
+    def check(self, name: str, arm: Arm) -> None:
+        """Raises InputError if an action of this name cannot move an arm with several tips."""
+        if self.position_scale > 0.0 and arm.further_tips:
+            raise InputError(
+                f"action: {name} moves one tip, and {arm.name:.60} has {few_names(arm.tips)}; use joint_delta, joint_target or "
+                f"torque, or choose a tip with load_options={{'tip': {arm.tip!r:.60}}}"
+            )
 
     def size(self, arm: Arm) -> int:
         """The numbers of an action: one a joint, or 6 of the tip (3 where the arm has fewer than 6 joints)."""

@@ -21,8 +21,8 @@ class ArmEnv(gymnasium.Env):
     Attributes:
         batch: The episode, a batch of one.
         screen: What draws pictures; None without a render mode and cameras.
-        compute_reward: Only where observations have goals: a function of achieved goals and desired goals, (..., 3) m each, and
-            the information of the step or of each step, that returns (...,) rewards for hindsight replay.
+        compute_reward: Only where observations have goals: a function of achieved goals and desired goals, (..., 3 K) m of K
+            tips, and the information of the step or of each step, that returns (...,) rewards for hindsight replay.
         metadata: The rendering modes, in the form of Gymnasium.
     """
 
@@ -77,7 +77,7 @@ class ArmEnv(gymnasium.Env):
 
         Args:
             seed: What decides everything random from now on; None goes on with the old one.
-            options: A dictionary with `goal`, (3,) m, or `start`, (n,) rad, or both; what is left out is drawn.
+            options: A dictionary with `goal`, (3,) m (3 K of K tips), or `start`, (n,) rad, or both; what is left out is drawn.
 
         Returns:
             The observation, and an empty dictionary.

@@ -32,12 +32,13 @@ class ObservationBuilder:
 
     An observation has the positions and velocities of the joints, how far their targets are, the tip, what belongs to the task
     (opening of the gripper; object, its vertical axis, its velocity, and the vector to it from the tip; obstacle and the vector
-    to it; velocity of the goal), the goal, and the vector from the controlled point to the goal.
+    to it; velocity of the goal), the goal, and the vector from the controlled point to the goal. Of K tips each has its goal.
     """
 
     def __init__(self, task: Task, rows: BatchSimulation):
         n = task.arm.n
-        widths = {"q": n, "v": n, "to_target": n, "tip": 3}
+        points = task.goals.shape[-1]
+        widths = {"q": n, "v": n, "to_target": n, "tip": points}
         if task.uses_gripper:
             widths["opening"] = 1
         if task.object:
@@ -45,8 +46,8 @@ class ObservationBuilder:
         if task.obstacle:
             widths |= {"obstacle": 3, "tip_to_obstacle": 3}
         if task.moves_goal:
-            widths["goal_velocity"] = 3
-        widths |= {"goal": 3, "to_goal": 3}
+            widths["goal_velocity"] = points
+        widths |= {"goal": points, "to_goal": points}
         ends = np.cumsum(list(widths.values())).tolist()
         # Where each quantity is
         self.columns = {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
@@ -57,10 +58,10 @@ class ObservationBuilder:
         self._parts = {name: self._numbers[:, columns] for name, columns in self.columns.items()}
 
     def observe(self, goal: Array, goal_velocity: Array, obstacle: Array) -> Observations:
-        """(count, size) the observations now, as a new array, with goals, their velocities and obstacles (count, 3) each."""
+        """(count, size) the observations now, as a new array; goals and velocities are (count, 3 K), obstacles (count, 3)."""
         rows = self._rows
         parts = self._parts
-        tip = rows.tip[:, :3]
+        tip = rows.tip_positions
         measured = rows.signals.measured(rows.q)
         parts["q"][:] = measured
         parts["v"][:] = rows.v
@@ -83,11 +84,11 @@ class ObservationBuilder:
         return self._numbers.astype(np.float32)
 
     def achieved(self, observations: Observations) -> Observations:
-        """(..., 3) m, the controlled point."""
+        """(..., 3 K) m, the controlled points."""
         return observations[..., self._achieved]
 
     def desired(self, observations: Observations) -> Observations:
-        """(..., 3) m, the goals."""
+        """(..., 3 K) m, the goals."""
         return observations[..., self.columns["goal"]]
 
     def with_goals(self, observations: Observations) -> dict[str, Observations]:
@@ -133,6 +134,7 @@ class Batch:
         self._is_sparse = choice("reward", reward, REWARDS) == "sparse"
         self.task = task_class(ArmSource(robot, load_options), ticks)
         self.arm = self.task.arm
+        mode.check(action, self.arm)
         self._randomization = Randomization.read(randomize, has_object=bool(self.task.object))
         self.step_time = ticks * self.arm.dt  # s, of a step
         shortest = max(_MIN_HORIZON, int(np.ceil(self.task.min_duration / self.step_time)))
@@ -150,13 +152,14 @@ class Batch:
         # Between the actions and the joints; None if all actions pass
         self.gate = StepGate(self.task, self.rows) if flag("gate", gate) else None
         self.observer = ObservationBuilder(self.task, self.rows)  # what is observed
-        self.goal = np.zeros((count, 3))  # (count, 3) m, the goal of each episode
+        points = self.task.goals.shape[-1]
+        self.goal = np.zeros((count, points))  # (count, 3 K) m, the goal of each episode, for each of K tips
         self.goal_number = np.zeros(count, np.int64)  # (count,) which of the task's goals it is
         self.obstacle = np.zeros((count, 3))  # (count, 3) m, the obstacle of each episode
         self.was_touched = np.zeros(count, bool)  # (count,) whether the obstacle was touched in this episode
         self.steps = np.zeros(count, np.int64)  # (count,) steps since the start of each episode
-        self._goal_velocity = np.zeros((count, 3))
-        self._own_goal = np.zeros((count, 3))  # (count, 3) m, the goal that a caller set, ...
+        self._goal_velocity = np.zeros_like(self.goal)
+        self._own_goal = np.zeros_like(self.goal)  # the goal that a caller set, ...
         self._has_own_goal = np.zeros(count, bool)  # ... in these episodes
 
     def reset(self, which: Iterable[int], rngs: Iterable[np.random.Generator], options: object = None) -> None:
@@ -224,15 +227,15 @@ class Batch:
         return reward, information
 
     def reward(self, achieved: Any, desired: Any, info: Any) -> NDArray[np.floating]:
-        """Rewards of goals (..., 3) that were achieved and desired, for hindsight replay.
+        """Rewards of goals (..., 3 K) that were achieved and desired, for hindsight replay.
 
         `info` says whether the obstacle was touched: the dictionary of a step, or one for each goal. InputError if it
         does not fit.
         """
         goals = (as_array("achieved_goal", achieved), as_array("desired_goal", desired))
         for name, goal in zip(("achieved_goal", "desired_goal"), goals, strict=True):
-            if goal.dtype.kind not in "fiu" or goal.shape[-1:] != (3,):
-                raise InputError(f"{name}: expected (..., 3) m, got {shown(goal)}")
+            if goal.dtype.kind not in "fiu" or goal.shape[-1:] != self.goal.shape[-1:]:
+                raise InputError(f"{name}: expected (..., {self.goal.shape[-1]}) m, got {shown(goal)}")
         try:
             touched: Any = False
             if isinstance(info, Mapping):
@@ -252,7 +255,7 @@ class Batch:
         return self.steps >= self.horizon
 
     def _read(self, options: object) -> tuple[Array | None, Array | None]:
-        """The goals (count, 3) m and starts (count, n) rad that the options of `reset` set, each None if they do not."""
+        """The goals (count, 3 K) m and starts (count, n) rad that the options of `reset` set, each None if they do not."""
         if options is None:
             return None, None
         instance("options", options, Mapping, '{"goal": [0.4, 0.1, 0.3]} is one')
@@ -264,7 +267,7 @@ class Batch:
         if "goal" in options:
             if self.task.moves_goal:
                 raise InputError(f"options: goal: that of {self.task.name} moves along a path; it cannot be set")
-            goal = self._of_each_row("options: goal", options["goal"], 3)
+            goal = self._of_each_row("options: goal", options["goal"], self.goal.shape[-1])
             if not self.task.object:
                 self._require_reachable(goal)
         start = None
@@ -287,7 +290,7 @@ class Batch:
 
     def _require_reachable(self, goals: Array) -> None:
         for goal in np.unique(goals, axis=0):
-            found = solve_ik(self.arm, goal)
+            found = solve_ik(self.arm, self.task.targets(goal))
             if not found.ok:
                 raise InputError(f"options: goal: {shown(goal.tolist())} m: {found.reason}")
 
@@ -316,5 +319,5 @@ def observation_space(batch: Batch, has_goals: bool) -> gymnasium.spaces.Space[A
     box = gymnasium.spaces.Box(-np.inf, np.inf, (batch.observer.size,), np.float32)
     if not has_goals:
         return box
-    goal = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    goal = gymnasium.spaces.Box(-np.inf, np.inf, batch.goal.shape[-1:], np.float32)
     return gymnasium.spaces.Dict({"observation": box, "achieved_goal": goal, "desired_goal": goal})

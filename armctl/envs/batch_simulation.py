@@ -89,7 +89,7 @@ class BatchSimulation:
         self.q = np.tile(arm.home, (count, 1))  # (count, n) rad, the positions
         self.v = np.zeros((count, n))  # (count, n) rad/s, the velocities
         self.target = self.q.copy()  # (count, n) rad, the joint targets of the actions
-        self.tip = np.zeros((count, 12))  # (count, 12) position and rotation matrix of the tip
+        self.tip = np.zeros((count, 12))  # (count, 12) position and rotation matrix of the (first) tip
         self.opening = np.ones(count)  # (count,) of the gripper, from closed (0) to open (1)
         # (count, 13) position, quaternion, velocity and angular velocity of the loose object
         self.object = np.zeros((count, 13))
@@ -152,6 +152,13 @@ class BatchSimulation:
     def tick_by_tick(self) -> _core.EnvironmentBatch:
         """What rehearses single ticks of the reference: an action (n,) of zeros leaves its targets where they are."""
         return self._compiled_batch(self._law, 0, _core.ActionMode.joint_delta, np.zeros((self.count, self.arm.n)), 1)
+
+    @property
+    def tip_positions(self) -> Array:
+        """(count, 3 K) m, where the K tips are."""
+        first = self.tip[:, :3]
+        others = [self.arm.fk_many(self.q, frame.name)[0] for frame in self.arm.further_tips]
+        return np.concatenate([first, *others], axis=1) if others else first
 
     def find_tips(self, rows: Sequence[int] | IntArray) -> None:
         positions, rotations = self.arm.fk_many(self.q[rows])

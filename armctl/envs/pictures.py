@@ -93,10 +93,10 @@ class Screen:
             self._viewer.close()
 
     def _place(self, q: np.ndarray) -> None:
-        """Puts the arm at q (n,), everything else where it is, and the marker at the goal."""
+        """Puts the arm at q (n,), everything else where it is, and the marker at the goal (of the first tip)."""
         data = self._batch.rows.simulated.data(0)
         self._data.qpos[:] = data.qpos
         self._data.mocap_pos[:] = data.mocap_pos
         self._data.qpos[self._arm.joint_map.qpos_adr] = self._arm.joint_map.positions(q)
-        set_target(self._arm.model, self._data, self._batch.goal[0])
+        set_target(self._arm.model, self._data, self._batch.goal[0, :3])
         mujoco.mj_forward(self._arm.model, self._data)

@@ -34,7 +34,7 @@ class ReachExpert(Expert):
 
     def begin(self) -> None:
         start = self.arm.limits.clamp(self.batch.rows.q[self.row])
-        goal = solve_ik(self.arm, self.batch.goal[self.row].copy(), start)
+        goal = solve_ik(self.arm, self.batch.task.targets(self.batch.goal[self.row].copy()), start)
         self._motion = move_j(self.arm, start, goal.q)
 
     def next(self) -> Command:
@@ -127,7 +127,7 @@ class TrackExpert(Expert):
         task = self.batch.task
         which = slice(self.row, self.row + 1)
         goal = task.goals_at(self.batch.goal_number[which], self.batch.steps[which] + 1)[0]
-        result = solve_ik(self.arm, goal, self._q)
+        result = solve_ik(self.arm, task.targets(goal), self._q)
         if result.ok:
             self._q = np.array(result.q)
         return Command(self._q)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
 from armctl.core.limits import Limits
+from armctl.core.target import TargetLike
+from armctl.core.tip_targets import TipTargets
 from armctl.core.validation import Array, BoolArray, instance
 from armctl.envs.actions import target_limits
 from armctl.envs.tasks.tool import Grip
@@ -87,7 +89,8 @@ class Task(ABC):
     # it is closed and braked.
     grip: Grip | None = None
     start_q: Array  # (n,) rad, around which episodes start
-    goals: Array  # (k, s, 3) m, positions of each goal at the steps of an episode; the last one stays
+    # (k, s, 3 K) m, positions of each goal at the steps of an episode, for each of the K tips; the last one stays
+    goals: Array
 
     @abstractmethod
     def __init__(self, source: ArmSource, ticks: int):
@@ -100,7 +103,11 @@ class Task(ABC):
     @property
     def points(self) -> Array:
         """(k, 3) m, the points that a camera must show."""
-        return self.goals[:, 0]
+        return self.goals[:, 0].reshape(-1, 3)
+
+    def targets(self, goal: Array) -> TargetLike | TipTargets:
+        """A goal (3 K,) m for inverse kinematics: by tip, of an arm with several."""
+        return dict(zip(self.arm.tips, goal.reshape(-1, 3), strict=True)) if self.arm.further_tips else goal
 
     def start(self, rng: np.random.Generator, spread: float = _START_SPREAD) -> Array:
         """(n,) rad, a configuration around the start."""
@@ -112,24 +119,31 @@ class Task(ABC):
         return target_limits(self.arm)
 
     def goals_at(self, numbers: NDArray[np.int64], steps: NDArray[np.int64]) -> Array:
-        """(count, 3) m, the goals of episodes with these goal numbers (count,) after these steps (count,)."""
+        """(count, 3 K) m, the goals of episodes with these goal numbers (count,) after these steps (count,)."""
         return self.goals[numbers, np.minimum(steps, self.goals.shape[1] - 1)]
 
     def reward(
         self, achieved: NDArray[Any], desired: NDArray[Any], touched: NDArray[Any] | bool, *, is_sparse: bool
     ) -> tuple[NDArray[np.floating], BoolArray, NDArray[np.floating]]:
-        """The reward (...,) of points achieved and desired (..., 3), whether that is a success, and the distance in m.
+        """The reward (...,) of points achieved and desired (..., 3 K), whether that is a success, and the distance in m.
 
+        Of several tips the distance is that of the farthest one.
         The reward is 1 at the goal, less 5 for each m of distance; or, if it is sparse, 0 at the goal and -1 elsewhere.
         A step in which the obstacle is touched costs 1 more.
         """
         way = np.subtract(achieved, desired, dtype=np.float64)
-        distance = np.sqrt(np.vecdot(way, way))
+        ways = way.reshape(*way.shape[:-1], -1, 3)
+        distance = np.sqrt(np.vecdot(ways, ways)).max(axis=-1)
         success = distance < self.tolerance
         reward = success - 1.0 if is_sparse else success - _DISTANCE_WEIGHT * distance
         if self.obstacle:
             reward = reward - _TOUCH_COST * np.asarray(touched)
         return reward, success, distance
+
+
+def tip_positions(arm: Arm, q: Array) -> Array:
+    """(T, 3 K) m, the K tips of an arm at joint positions (T, n) rad."""
+    return np.concatenate([arm.fk_many(q, tip)[0] for tip in arm.tips], axis=1)
 
 
 def free_configurations(arm: Arm, count: int, spread: float) -> Array:

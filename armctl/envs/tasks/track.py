@@ -7,7 +7,7 @@ import numpy as np
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
-from armctl.envs.tasks.task import ArmSource, Task, free_configurations
+from armctl.envs.tasks.task import ArmSource, Task, free_configurations, tip_positions
 from armctl.model.collision.checkers import collision_checker
 
 _PATHS = 128
@@ -21,7 +21,7 @@ _DURATION = 6.0  # s, of a path; its last point stays
 
 
 class Track(Task):
-    """Follow a point that moves on a smooth path, which is new in each episode.
+    """Follow a point that moves on a smooth path, which is new in each episode; several tips each its own.
 
     The path is that of the tip while each joint moves by the sum of two sines, so the arm can follow it. At all of twelve
     checked points of a path the arm touches nothing.
@@ -47,7 +47,7 @@ class Track(Task):
             q = np.clip(center + self._waves(rng, times), limits.q_min, limits.q_max)
             checked = q[np.linspace(0, len(q) - 1, _CHECKED_POINTS).astype(int)]
             if not any(checker.at(each) for each in checked):
-                paths.append(self.arm.fk_many(q)[0])
+                paths.append(tip_positions(self.arm, q))
             if len(paths) == _PATHS:
                 break
         if not paths:
