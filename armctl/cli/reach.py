@@ -51,7 +51,6 @@ def add(commands: common.Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     speed = common.speed_from(args.speed)
     from armctl.cli.plants import plant_by_name
-    from armctl.core.units import length_text
     from armctl.core.validation import number
     from armctl.report.render import film_path
     from armctl.report.report import Report
@@ -70,9 +69,8 @@ def run(args: argparse.Namespace) -> int:
         common.print_result(args, str(result), None, result.reason)
         return common.NOT_REACHED
     report = Report.from_log(result.log)
-    tips = [f"  {tip}: {length_text(distance)} from its target" for tip, (distance, _) in result.tip_errors.items()]
-    figures = report.to_dict() | ({"tip_errors": result.tip_errors} if tips else {})
-    common.print_result(args, "\n".join([str(report), *tips]), figures, result.reason or report.reason)
+    figures = report.to_dict() | ({"tip_errors": result.tip_errors} if result.tip_errors else {})
+    common.print_result(args, str(report), figures, result.reason or report.reason)
     film = outputs.Output("", FILM_ENDINGS, lambda path: simulation.record(path, speed=video_speed))
     outputs.write_outputs(args, [*outputs.report_outputs(report), film])
     return common.DONE if result and report else common.NOT_REACHED

@@ -59,6 +59,7 @@ public:
         is_exact = is_exact && turn_to(q, 1.0, dt);
         const double slower = is_exact ? slowed_by_curves(dt) : 1.0;
         if (slower < 1.0) { is_exact = turn_to(q, slower, dt); }
+        if (is_exact && std::ranges::any_of(tasks_, &TreeTask::exact)) { is_exact = can_rest(q, dt); }
         if (!is_exact) { is_exact = brake(q, dt); }
         for (size_t i = 0; i < n(); ++i) {
             const Bounds bounds{low_[i], high_[i]};
@@ -125,6 +126,7 @@ private:
     static constexpr double BRAKING_SHARE = 0.8;  // of the accelerations: the rest keeps exact tasks on their curves
     static constexpr double CURVE_SHARE = 0.1;    // of the accelerations, on the curves of exact tasks
     static constexpr double ROUNDING = 1e-12;     // relative, of speeds
+    static constexpr int MAX_STOPPING = 400;      // that are looked ahead
 
     // The speeds that a joint may have for the next dt.
     Bounds speeds(size_t i, double q, double v_before, double dt) const {
@@ -204,6 +206,34 @@ private:
         const double share = std::max(0.0, 1.0 - dt / std::max(braking_time(before_, dt), dt));
         for (size_t i = 0; i < n(); ++i) { dx_[i] = Bounds{low_[i], high_[i]}.clamp(share * before_[i]); }
         return newton(q, dx_);
+    }
+
+    // Whether `brake`, step by step from the end of the step dx_ from q (n,), keeps exact tasks until the joints rest. Near a singular
+    // configuration what bends a step can grow faster than braking slows the joints down. Then they brake at once: after the step before,
+    // that was found to keep exact tasks.
+    bool can_rest(Vector q, double dt) {
+        copy(q, rest_q_);
+        copy(dx_, rest_dx_);
+        copy(before_, rest_before_);
+        copy(low_, rest_low_);
+        copy(high_, rest_high_);
+        bool holds = true;
+        for (int step = 0; holds && step < MAX_STOPPING && braking_time(dx_, dt) > dt; ++step) {
+            for (size_t i = 0; i < n(); ++i) {
+                const double v = dx_[i] * errors_.unit()[i] / dt;
+                rest_q_[i] += dx_[i] * errors_.unit()[i];
+                const Bounds bounds = speeds(i, rest_q_[i], v, dt);
+                low_[i] = bounds.low * dt / errors_.unit()[i];
+                high_[i] = bounds.high * dt / errors_.unit()[i];
+                before_[i] = dx_[i];
+            }
+            holds = brake(rest_q_, dt);
+        }
+        copy(rest_dx_, dx_);
+        copy(rest_before_, before_);
+        copy(rest_low_, low_);
+        copy(rest_high_, high_);
+        return holds;
     }
 
     // The share of a way (n,) that all joints can go in dt, so that each can stop at its end.
@@ -342,6 +372,9 @@ private:
             q[i] = limits.clamp(q[i] + share * (drawn - q[i]));
         }
     }
+
+    // Scratch memory.
+    Numbers rest_q_ = Numbers(n()), rest_dx_ = rest_q_, rest_before_ = rest_q_, rest_low_ = rest_q_, rest_high_ = rest_q_;
 };
 
 }  // namespace armctl

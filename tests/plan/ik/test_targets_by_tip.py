@@ -376,6 +376,30 @@ def test_tips_that_stay_or_are_relative_hold_at_every_step(torso):
             assert ik.status == "solved"
 
 
+@pytest.mark.parametrize("seed", [0, 10])
+def test_feet_stay_where_legs_are_stretched(seed):
+    """What holds a foot near a straight leg needs accelerations that grow faster than braking takes the speed away."""
+    if not at_hand("unitree_h1"):
+        pytest.skip(f"unitree_h1: {MISSING}")
+    robot = armctl.load("unitree_h1", base="free")
+    hands = {tip: robot.fk(robot.home, tip).position for tip in ("left_elbow_link", "right_elbow_link")}
+    feet = {tip: robot.fk(robot.home, tip) for tip in ("left_ankle_link", "right_ankle_link")}
+    rng = np.random.default_rng(seed)
+    ik = armctl.DifferentialIk(robot)
+    q = robot.home
+    v = np.zeros(robot.n)
+    for k in range(300):
+        if k % 200 == 0:
+            ways = {tip: rng.choice([0.3, 1.0, 2.0]) * rng.normal(size=3) for tip in hands}
+            targets = {tip: hands[tip] + way for tip, way in ways.items()} | dict.fromkeys(feet, STAY)
+        before = v
+        v = ik.step(q, targets, 0.005)
+        assert ik.status == "solved"
+        assert violations(robot, q, v, before, 0.005) == (False, False, False)
+        q = q + 0.005 * v
+        assert max(gap(robot, q, tip, pose)[0] for tip, pose in feet.items()) < 1e-6
+
+
 def test_a_joint_that_cannot_stop_in_time_is_slowed_from_the_first_step(torso):
     """A start at full speed towards a limit: the limit holds if it can, and the acceleration limit does in any case."""
     q = torso.home.copy()
