@@ -24,6 +24,7 @@ _OTHER_NAMES = {
 # Names that armctl had: what to write instead.
 _FORMER_NAMES = {
     "load_arms": "armctl.load(robot, tips=[...]), which returns one arm with several tips",
+    "LeRobotArm": "sim.streaming(), or that of a Robot, and stream.push(t, q) with the positions of an action, in rad",
     "Team": "armctl.Simulation(arm) with an arm of several tips, which takes targets by tip",
 }
 

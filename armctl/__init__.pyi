@@ -180,7 +180,6 @@ from .run.agent.server import serve_mcp as serve_mcp
 from .run.execution.contact_reaction import ContactReaction as ContactReaction
 from .run.execution.follow import StreamRun as StreamRun
 from .run.execution.path_move_options import PathMoveOptions as PathMoveOptions
-from .run.lerobot_arm import LeRobotArm as LeRobotArm
 from .run.links.dry_run import DryRun as DryRun
 from .run.links.envelope import Envelope as Envelope
 from .run.links.robot import Robot as Robot

@@ -121,8 +121,6 @@ def world() -> dict[str, object]:
     dry_run.open()
     hand = armctl.links.PlantLink(gripping.arm)
     hand.open()
-    lerobot_arm = armctl.LeRobotArm(armctl.Simulation(arm))
-    lerobot_arm.connect()
     return {
         "Actuation": arm.actuation,
         "Admittance": armctl.Admittance(arm),
@@ -178,7 +176,6 @@ def world() -> dict[str, object]:
         "jax.Reference": armctl.jax.tick_reference(motion, arm.dt, ticks=2),
         "links.Franka": armctl.links.Franka("127.0.0.1"),
         "links.Hand": armctl.links.Hand(hand),
-        "LeRobotArm": lerobot_arm,
         "links.LinkCheck": armctl.Robot(arm, armctl.links.PlantLink(arm)).check(0.1),
         "links.PlantLink": link,
         "links.SO101": feetech_link(),
