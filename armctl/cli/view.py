@@ -86,10 +86,14 @@ def scenes_by_name(paths: Sequence[str]) -> dict[str, str | None]:
 
 def loaded_arms(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]:
     """The arm in a scene; of an arm with several tips, the arm to each of them."""
+    from armctl.model.loading.build import arm_to
+
     args = argparse.Namespace(**{**vars(args), "scene": scene})
     arm = common.load_arm(args)
     if not arm.further_tips:
         return (arm,)
+    if arm.joint_map.closure is None:
+        return tuple(arm_to(arm, tip) for tip in arm.tips)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ArmctlWarning)  # they were shown for the whole
         return tuple(common.load_arm(argparse.Namespace(**{**vars(args), "tip": tip})) for tip in arm.tips)

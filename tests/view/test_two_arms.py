@@ -10,7 +10,9 @@ pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 
 from viewer_client import connected, open_page, until
 
+import armctl
 from armctl import ModelError
+from armctl.cli import common
 from armctl.cli.main import command_parser
 from armctl.cli.view import loaded_arms
 from armctl.view.realtime.status import Activity
@@ -32,6 +34,24 @@ def test_view_loads_all_arms_of_a_robot_unless_a_tip_is_given(path: Path):
     assert [arm.tip for arm in loaded(str(path), "--tip", "F")] == ["F"]
     with pytest.raises(ModelError, match="no such file"):
         loaded(str(path.parent / "nothing.xml"))
+
+
+def test_a_robot_is_loaded_once_for_all_its_tips(path: Path, monkeypatch: pytest.MonkeyPatch):
+    calls = []
+    monkeypatch.setattr("armctl.cli.common.load_arm", lambda args, load=common.load_arm: calls.append(args.tip) or load(args))
+    arms = loaded(str(path))
+    assert calls == [None]
+    for part in arms:
+        one = armctl.load(path, tip=part.tip)
+        q = one.home + 0.3
+        assert part.joint_names == one.joint_names
+        assert np.array_equal(part.fk(q).matrix, one.fk(q).matrix)
+        assert np.array_equal(part.mass_matrix(q), one.mass_matrix(q))
+        assert np.array_equal(part.limits.tau_max, one.limits.tau_max)
+        assert np.allclose(part.model.body("target").pos, one.model.body("target").pos)
+        motion = armctl.out_and_back(one)
+        runs = [armctl.simulate(arm, "computed-torque", motion, dwell=0.0) for arm in (part, one)]
+        assert np.allclose(runs[0].q, runs[1].q, atol=1e-9)
 
 
 def test_either_arm_follows_its_target_while_the_other_stands(path: Path):

@@ -7,6 +7,7 @@ can lack it, because a body cannot be added to a compiled model.
 import copy
 
 import mujoco
+import numpy as np
 
 from armctl.core.errors import ModelError
 from armctl.core.pose import Pose
@@ -63,11 +64,14 @@ def add_target(spec: mujoco.MjSpec) -> bool:
     return True
 
 
-def set_target_start(model: mujoco.MjModel, position: Array) -> None:
-    """Sets where a target at the world's origin starts, (3,) m, in the model and in its keyframes."""
+def set_target_start(model: mujoco.MjModel, position: Array, before: Array | None = None) -> None:
+    """Sets where a target at the world's origin, or at `before`, starts, (3,) m, in the model and in its keyframes."""
     body = find_target(model)
     mocap = _mocap(model)
-    if body is None or mocap is None or model.body_pos[body].any():
+    if body is None or mocap is None:
+        return
+    is_before = before is not None and np.array_equal(model.body_pos[body], before)
+    if model.body_pos[body].any() and not is_before:
         return
     model.body_pos[body] = position
     if model.nkey:
