@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,18 +22,16 @@ from armctl.core.validation import Array, number, shown, vector
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.ik.all_solutions import solve_ik_all
 from armctl.plan.motion.checks import planning_arm, read_duration
-from armctl.plan.motion.given_duration import lasting
 from armctl.plan.motion.moving_start import planned_from
-from armctl.plan.motion.path.joint_path import JointPath, joint_path_along
+from armctl.plan.motion.path.joint_path import joint_path_along
 from armctl.plan.motion.path.path_segments import MIN_LENGTH, Blend, Circle, CompositePath, PathSegment, Straight, SubPath, Turn
-from armctl.plan.motion.path.tip_caps import TipCaps
-from armctl.plan.motion.sections import Section, is_limited, pause, within_sections
-from armctl.plan.motion.timing.path_timing import time_optimal, times_at
+from armctl.plan.motion.sections import Section, pause
+from armctl.plan.motion.timed_along import timed_along
+from armctl.plan.motion.timing.path_timing import times_at
 from armctl.plan.motion.tip_lines import tip_lines
-from armctl.plan.motion.torque_limits import within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory, joined
 from armctl.plan.motion.trajectory.limit_check import check_limits, is_inside
-from armctl.plan.motion.trajectory.piecewise import Pieces, joints_of, standing
+from armctl.plan.motion.trajectory.piecewise import Pieces, standing
 
 _BRANCH_SAMPLE = 64  # configurations in which branches are looked for
 _MAX_BRANCHES = 16  # that are planned for an arm whose branches have no names
@@ -113,12 +111,10 @@ def move_l(
             too short.
     """
     if isinstance(target, Mapping):
-        _require_known("move_l", options)
-        plan = partial(tip_lines, arm, targets=target, options=options)
-        return planned_from(arm, q_start, plan, read_duration(options.get("duration")))
+        return _planned(arm, q_start, "move_l", partial(tip_lines, arm, targets=target, options=options), options)
     if isinstance(target, Region):
         raise InputError("target: a Region has many poses, and a line one end; solve_ik(arm, region).member.pose is one")
-    return _planned(arm, q_start, _Request("move_l", [Line(target)]), options)
+    return _along(arm, q_start, _Request("move_l", [Line(target)]), options)
 
 
 @with_options(PathOptions, PATH_DEFAULTS)
@@ -147,7 +143,7 @@ def move_c(
         PlanError: The path leaves the reach or the joint limits, a motor cannot hold the arm on it, or the duration is
             too short.
     """
-    return _planned(arm, q_start, _Request("move_c", [Arc(via, target, angle)]), options)
+    return _along(arm, q_start, _Request("move_c", [Arc(via, target, angle)]), options)
 
 
 @with_options(PathOptions, PATH_DEFAULTS)
@@ -191,26 +187,20 @@ def move_path(
     if is_tool_path(path, normals, free, cone):
         from armctl.plan.motion.tool_path import tool_path
 
-        _require_known("move_path", options)
         if blend:
             raise InputError("blend: a tool path passes all of its points; leave the blend out")
         if isinstance(q_start, (Pose, Setpoint)):
             raise InputError("q_start: a tool path starts at rest, at joint positions or at None; None takes the best")
-        return lasting(arm, tool_path(arm, q_start, path, normals, free, cone, options), read_duration(options.get("duration")))
+        plan = partial(tool_path, arm, path=path, normals=normals, free=free, cone=cone, options=options)
+        return _planned(arm, q_start, "move_path", plan, options)
     if q_start is None:
         raise InputError("q_start: only a tool path, with normals or a free axis, may start anywhere; give joint positions")
-    return _planned(arm, q_start, _Request("move_path", read_path(path), number("blend", blend, 0.0)), options)
+    return _along(arm, q_start, _Request("move_path", read_path(path), number("blend", blend, 0.0)), options)
 
 
 def is_tool_path(path: object, normals: ArrayLike | None, free: str | None, cone: float) -> bool:
     """Whether the arguments of `move_path` are those of a tool path."""
     return normals is not None or free is not None or bool(cone) or isinstance(path, Region)
-
-
-def _require_known(function: str, options: PathOptions) -> None:
-    """Raises TypeError for an option that there is not."""
-    for name in options.keys() - PathOptions.__annotations__.keys():
-        raise TypeError(f"{function}() got an unexpected keyword argument {name!r}")
 
 
 def read_path(path: Sequence[Line | Arc | Pose | ArrayLike] | Region | ArrayLike) -> list[Line | Arc]:
@@ -231,10 +221,17 @@ class _Request(NamedTuple):
     blend: float = 0.0
 
 
-def _planned(arm: Arm, q_start: Pose | Setpoint | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
-    _require_known(request.function, options)
-    seconds = read_duration(options.get("duration"))
-    return planned_from(arm, q_start, lambda start: _plan(arm, start, request, options), seconds)
+def _planned(
+    arm: Arm, q_start: Any, function: str, plan: Callable[[Any], JointTrajectory], options: PathOptions
+) -> JointTrajectory:
+    """The motion that a function plans from its start. Raises TypeError for an option that there is not."""
+    for name in options.keys() - PathOptions.__annotations__.keys():
+        raise TypeError(f"{function}() got an unexpected keyword argument {name!r}")
+    return planned_from(arm, q_start, plan, read_duration(options.get("duration")))
+
+
+def _along(arm: Arm, q_start: Pose | Setpoint | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
+    return _planned(arm, q_start, request.function, partial(_plan, arm, request=request, options=options), options)
 
 
 def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
@@ -312,7 +309,9 @@ def _stretches(arm: Arm, limits: Limits, q: Array, request: _Request, options: P
         free = None
         if chain.path.length > 0.0:
             joint_path = joint_path_along(arm, request.function, chain.path, q, oriented)
-            motion, free = _timed(arm, limits, joint_path, chain, options)
+            timed = timed_along(arm, limits, joint_path, options, sections=chain.sections, ends=chain.ends)
+            free = timed.free
+            motion = timed.motion
             _require_limits(arm, request.function, motion)
             motions.append(motion)
             q = motion(motion.duration).q
@@ -339,22 +338,6 @@ def _best_branch(arm: Arm, start: Pose, plan: Callable[[Array], JointTrajectory]
     if not motions:
         raise failures[0]
     return min(motions, key=lambda motion: motion.duration)
-
-
-def _timed(
-    arm: Arm, limits: Limits, joint_path: JointPath, chain: _Chain, options: PathOptions
-) -> tuple[JointTrajectory, Pieces]:
-    """The motion along what is gone through without stopping, and the one without torque limits and limits of sections."""
-    speed = options.get("speed", 1.0)
-    caps = TipCaps.from_path(arm, joint_path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
-    pieces = time_optimal(joint_path, limits, caps)
-    free = JointTrajectory(*joints_of(pieces), arm.joint_names, arm.limits, units=arm.units)
-    if not any(map(is_limited, chain.sections)):
-        motion = within_torque(arm, free)
-    else:
-        ends = np.interp(chain.ends, pieces.coefficients[:, 0, -1], pieces.knots[:-1])
-        motion = within_sections(arm, free, np.append(ends[:-1], free.duration), chain.sections)
-    return motion if caps is None else caps.kept(motion), pieces
 
 
 def _require_limits(arm: Arm, what: str, motion: JointTrajectory) -> None:

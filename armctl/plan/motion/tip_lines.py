@@ -20,7 +20,7 @@ from armctl.plan.ik.tree_problem import TreeTask, TreeTasks, read_tasks, shortfa
 from armctl.plan.motion.checks import planning_arm
 from armctl.plan.motion.path.joint_path import JointPath
 from armctl.plan.motion.path.path_segments import MIN_LENGTH, Straight, Turn
-from armctl.plan.motion.timed_along import timed_along
+from armctl.plan.motion.timed_along import FINE, timed_along
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.limit_check import check_limits
 from armctl.plan.motion.trajectory.piecewise import standing
@@ -41,7 +41,7 @@ def tip_lines(arm: Arm, q_start: Pose | ArrayLike, targets: TipTargets, options:
     lines = _TipLines(arm, targets, q)
     if lines.length <= MIN_LENGTH:
         return JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
-    motion = timed_along(arm, planning, lines.joint_path(), options, lines.moved)
+    motion = timed_along(arm, planning.limits, lines.joint_path(), options, tips=lines.moved, fineness=FINE).motion
     check = check_limits(motion.pieces, arm.limits, arm.joint_names, arm.units)
     if not check.ok:
         raise PlanError(f"move_l: {check.violations[0]}; start from other joint positions for the same poses of the tips")
@@ -86,13 +86,11 @@ class _TipLines:
 
     def joint_path(self) -> JointPath:
         """The joints that keep all tips on their lines. PlanError where they cannot."""
-        from scipy.interpolate import make_interp_spline
-
         steps = _FEWEST_STEPS
         while True:
             shares = np.linspace(0.0, 1.0, steps + 1)
             q = self._walked(shares)
-            path = JointPath(make_interp_spline(shares * self.length, q, k=5), self.length)
+            path = JointPath.through(shares * self.length, q)
             between = 0.5 * (shares[1:] + shares[:-1])
             missed = self._missed(path.derivatives(between * self.length)[0], between)
             jumps = np.abs(np.diff(q, axis=0)).max(axis=1)

@@ -17,10 +17,10 @@ from armctl.core.units import length_text
 from armctl.core.validation import Array, IntArray, array, choice, shown
 from armctl.model.arm.arm import Arm, check_one_tip
 from armctl.plan.motion.checks import planning_arm
-from armctl.plan.motion.path.joint_path import JointPath
+from armctl.plan.motion.path.joint_path import SPLINE_DEGREE, JointPath
 from armctl.plan.motion.path.path_segments import Turn
 from armctl.plan.motion.path.region_path import RegionPath, joint_path_through, nominal_poses, region_path
-from armctl.plan.motion.timed_along import timed_along
+from armctl.plan.motion.timed_along import FINE, timed_along
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.limit_check import is_inside
 from armctl.plan.motion.trajectory.piecewise import standing
@@ -35,6 +35,7 @@ _STRAY_SHARE = 0.05  # of the way between two points, that the tip may be beside
 _STRAY_M = 1e-4  # that it may be in any case
 _LIMIT_ROOM = 1e-4  # of the range of a joint
 _CROSSING = 0.75  # of the spacing: two parts of a path that cross at right angles have points nearer than 0.71 of it
+_CUBIC = 3  # the degree of a spline through a few points
 _APART = 10  # points, between two that may be near each other
 
 
@@ -109,7 +110,7 @@ def _strays(arm: Arm, lengths: Array, q: Array) -> Array:
 def _motion(arm: Arm, planning: Arm, regions: RegionPath, q: Array, options: Mapping[str, Any]) -> JointTrajectory:
     if len(q) == 1:
         return JointTrajectory(*standing(q[0]), arm.joint_names, arm.limits, units=arm.units)
-    return timed_along(arm, planning, _joint_path(regions.lengths, q), options)
+    return timed_along(arm, planning.limits, _joint_path(regions.lengths, q), options, fineness=FINE).motion
 
 
 def _dense(parts: list[RegionPart], factor: int) -> tuple[list[RegionPart], IntArray]:
@@ -190,12 +191,9 @@ def _require_no_crossing(parts: list[RegionPart]) -> None:
 
 
 def _joint_path(lengths: Array, q: Array) -> JointPath:
-    from scipy.interpolate import make_interp_spline
-
-    degree = 5 if len(q) > 5 else 3 if len(q) > 3 else 1
-    if degree == 1:  # a straight way has points for a spline
-        shares = np.linspace(0.0, lengths[-1], 13)
-        q = np.column_stack([np.interp(shares, lengths, column) for column in q.T])
-        lengths = shares
-        degree = 5
-    return JointPath(make_interp_spline(lengths, q, k=degree), float(lengths[-1]))
+    if len(q) > SPLINE_DEGREE:
+        return JointPath.through(lengths, q)
+    if len(q) > _CUBIC:
+        return JointPath.through(lengths, q, _CUBIC)
+    shares = np.linspace(0.0, lengths[-1], 13)  # a straight way has points for a spline
+    return JointPath.through(shares, np.column_stack([np.interp(shares, lengths, column) for column in q.T]))

@@ -17,7 +17,7 @@ from armctl.core.errors import PlanError
 from armctl.core.validation import Array
 from armctl.model.arm.arm import Arm
 from armctl.plan.motion.path.joint_path import JointPath
-from armctl.plan.motion.timed_along import timed_along
+from armctl.plan.motion.timed_along import FINE, timed_along
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.planner.free_space import FreeSpace
 
@@ -27,7 +27,6 @@ _MIN_LINES = 12  # between dense points
 _SHORTCUTS = 60
 _MIN_GAIN = 0.01  # of the length of a path: less is no gain
 _SMOOTHINGS = (64, 32, 16, 8, 4, 2, 1, 0)  # how often each point goes to the mean of its neighbors, tried in turn
-_SPLINE_DEGREE = 5
 
 
 def motion_in_region(space: FreeSpace, arm: Arm, points: Array, rng: np.random.Generator) -> JointTrajectory | None:
@@ -94,12 +93,9 @@ def _is_free(space: FreeSpace, q: Array) -> bool:
 
 def _timed(arm: Arm, q: Array) -> JointTrajectory | None:
     """The fastest motion along a spline through dense points; None if the limits leave none."""
-    from scipy.interpolate import make_interp_spline
-
     lengths = np.append(0.0, np.linalg.norm(np.diff(q, axis=0), axis=1).cumsum())
-    path = JointPath(make_interp_spline(lengths, q, k=_SPLINE_DEGREE), float(lengths[-1]))
     try:
-        motion = timed_along(arm, arm, path, {})
+        motion = timed_along(arm, arm.limits, JointPath.through(lengths, q), {}, fineness=FINE).motion
     except PlanError:  # a motor cannot hold the arm on the way
         return None
     return motion if motion.check_limits().ok else None

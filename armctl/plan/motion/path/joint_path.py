@@ -32,6 +32,7 @@ _MAX_SHORT_STEPS = 30  # more of them mean that the path cannot be followed
 _PATH_TOLERANCE = 1e-6  # m and rad, of the spline between the steps
 _MAX_SPLINE_DEVIATION = 0.5  # of the longest step: the spline from the middle of the chord
 _MIN_FINENESS = 0.25  # factor on the length of the steps
+SPLINE_DEGREE = 5  # the least of which the third derivative has no jumps
 _CENTERINGS = (0.0, 2.0, 20.0)  # tried in turn: over the path, a free self-motion would shrink offsets from the middle by e^-k
 
 
@@ -40,6 +41,13 @@ class JointPath(NamedTuple):
 
     spline: object  # scipy's B-spline, (n,) rad over the length, m
     length: float  # m
+
+    @classmethod
+    def through(cls, lengths: Array, q: Array, degree: int = SPLINE_DEGREE) -> JointPath:
+        """The spline through joint positions (k, n) at increasing lengths (k,), from 0; more of them than its degree."""
+        from scipy.interpolate import make_interp_spline
+
+        return cls(make_interp_spline(lengths, q, k=degree), float(lengths[-1]))
 
     def derivatives(self, s: Array) -> tuple[Array, Array, Array, Array]:
         """q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n), at lengths (T,) m."""
@@ -71,12 +79,10 @@ def _rows(oriented: bool) -> int:
 
 def _walked(tracker: _Tracker, q_start: Array) -> JointPath:
     """The path of one walk, in steps that are fine enough for its spline."""
-    from scipy.interpolate import make_interp_spline
-
     fineness = 1.0
     while True:
         lengths, q = tracker.run(q_start, fineness)
-        joint_path = JointPath(make_interp_spline(lengths, q, k=5), tracker.path.length)
+        joint_path = JointPath.through(lengths, q)
         between = 0.5 * (lengths[1:] + lengths[:-1])
         q_between = np.asarray(joint_path.spline(between))  # type: ignore[operator]
         stray = np.abs(q_between - 0.5 * (q[1:] + q[:-1])).max(axis=1)
