@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
 from armctl.core.pose import matrix_from_quat
+from armctl.core.region import Region
 from armctl.core.validation import Array, BoolArray, as_array, choice, flag, instance, integer, matrix, shown, vector
 from armctl.envs.actions import ACTION_MODES
 from armctl.envs.batch_simulation import BatchSimulation
@@ -24,6 +25,7 @@ REWARDS = ("dense", "sparse")
 _MAX_ACTION = 10.0  # a policy that is not trained exceeds 1; larger numbers have another unit
 OPTIONS = ("goal", "start")  # of `reset`
 _MIN_HORIZON = 50
+_REGION_DRAWS = 20  # members of a region that are tried as goals
 Observations = NDArray[np.float32]
 
 
@@ -174,13 +176,15 @@ class Batch:
             factors = self._randomization.draw_object(rng)
             self.rows.reset(row, episode, plant, factors, rng)
             self.goal_number[row] = episode.goal
+            if isinstance(goal, Region):
+                self._own_goal[row] = self._drawn_from(goal, rng)
             if episode.obstacle is not None:
                 self.obstacle[row] = episode.obstacle
             if self.gate is not None:
                 self.gate.reset(row, episode.obstacle)
             chosen.append(row)
         self._has_own_goal[chosen] = goal is not None
-        if goal is not None:
+        if isinstance(goal, np.ndarray):
             self._own_goal[chosen] = goal[chosen]
         self.steps[chosen] = 0
         self.was_touched[chosen] = False
@@ -254,8 +258,11 @@ class Batch:
         """(count,) which episodes have reached their last step."""
         return self.steps >= self.horizon
 
-    def _read(self, options: object) -> tuple[Array | None, Array | None]:
-        """The goals (count, 3 K) m and starts (count, n) rad that the options of `reset` set, each None if they do not."""
+    def _read(self, options: object) -> tuple[Array | Region | None, Array | None]:
+        """The goals (count, 3 K) m and starts (count, n) rad that the options of `reset` set, each None if they do not.
+
+        Goals may also be a region, of which each episode draws one.
+        """
         if options is None:
             return None, None
         instance("options", options, Mapping, '{"goal": [0.4, 0.1, 0.3]} is one')
@@ -263,12 +270,16 @@ class Batch:
         for name in options:
             if name not in OPTIONS:
                 raise InputError(f"options: {shown(name)} is not known; expected {' or '.join(OPTIONS)}")
-        goal = None
+        goal: Array | Region | None = None
         if "goal" in options:
             if self.task.moves_goal:
                 raise InputError(f"options: goal: that of {self.task.name} moves along a path; it cannot be set")
-            goal = self._of_each_row("options: goal", options["goal"], self.goal.shape[-1])
-            if not self.task.object:
+            goal = options["goal"]
+            if not isinstance(goal, Region):
+                goal = self._of_each_row("options: goal", goal, self.goal.shape[-1])
+            elif self.goal.shape[-1] != 3:
+                raise InputError(f"options: goal: a Region is for one tip; give {self.goal.shape[-1]} numbers")
+            if isinstance(goal, np.ndarray) and not self.task.object:
                 self._require_reachable(goal)
         start = None
         if "start" in options:
@@ -287,6 +298,15 @@ class Batch:
         if len(rows) != count:
             raise InputError(f"{what}: {len(rows)} rows given for {count} environments")
         return rows
+
+    def _drawn_from(self, region: Region, rng: np.random.Generator) -> Array:
+        """(3,) m, where a random member of a region is that the tip reaches, or an object is brought to."""
+        for member in region.sample(_REGION_DRAWS, seed=int(rng.integers(2**31))):
+            if self.task.object or solve_ik(self.arm, member.position).ok:
+                return member.position
+        raise InputError(
+            f"options: goal: the tip reaches none of {_REGION_DRAWS} random positions of the region; bring it nearer"
+        )
 
     def _require_reachable(self, goals: Array) -> None:
         for goal in np.unique(goals, axis=0):

@@ -104,8 +104,8 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
 
         Args:
             seed: That of the first environment, the others follow; or one for each; None goes on with the old ones.
-            options: "goal" and "start" of the episodes, for all environments, or one for each. Episodes that begin after these
-                are drawn.
+            options: "goal" and "start" of the episodes, for all environments, or one for each; a Region as the goal is one for
+                all. Episodes that begin after these are drawn.
 
         Returns:
             The observations, and an empty dictionary.

@@ -53,6 +53,19 @@ def test_a_vector_takes_one_for_all_or_one_for_each_and_the_next_episodes_are_dr
     assert (np.linalg.norm(observations["desired_goal"] - goals, axis=1) > 1e-3).all()
 
 
+def test_each_episode_draws_its_goal_from_a_region():
+    side = [[-0.05, 0.05]] * 3 + [[0, 0]] * 3
+    far = armctl.Region([3.0, 0.0, 0.0], side)
+    region = armctl.Region(GOAL, side)
+    env = ArmVectorEnv("robot_arm_3dof", num_envs=4, goal_conditioned=True)
+    goals = [env.reset(seed=seed, options={"goal": region | far})[0]["desired_goal"] for seed in (0, 0, 7)]
+    assert np.array_equal(goals[0], goals[1])
+    assert len({*map(bytes, goals[0]), *map(bytes, goals[2])}) == 8
+    assert (np.abs(np.concatenate(goals) - GOAL) <= 0.05 + 1e-6).all()
+    with pytest.raises(armctl.InputError, match="reaches none of 20 random positions of the region"):
+        env.reset(options={"goal": far})
+
+
 def test_it_works_through_gymnasium():
     env = gymnasium.make("armctl.envs:armctl/ReachGoal-v0", robot="robot_arm_3dof")
     observation, _ = env.reset(seed=0, options={"goal": np.array(GOAL)})
