@@ -132,7 +132,10 @@ def _faces(
         front = sign * float((sign * _points(model, data, pad, T_tip_world) @ closing).max())
         body = int(model.geom_bodyid[pad])
         solid = [g for g in np.flatnonzero(model.geom_bodyid == body) if model.geom_contype[g] | model.geom_conaffinity[g]]
-        points = np.concatenate([_points(model, data, int(geom), T_tip_world) for geom in solid])
+        # What comes farther forward, as the root of a jaw that turns, only crosses the plane of the pad.
+        shapes = [_points(model, data, int(geom), T_tip_world) for geom in solid]
+        shapes = [points for points in shapes if sign * front - float((sign * points @ closing).max()) >= -_FACE_DEPTH]
+        points = np.concatenate(shapes)
         face = points[np.abs(points @ closing - front) <= _FACE_DEPTH] @ axes[1:].T
         low = np.maximum(low, face.min(axis=0))
         high = np.minimum(high, face.max(axis=0))

@@ -68,6 +68,13 @@ def test_it_starts_where_it_is_told(arm):
         armctl.move_path(arm, arm.home, CIRCLE, normals=UP)
 
 
+def test_a_path_of_one_point_stands_there(arm):
+    pose = arm.fk(arm.home)
+    motion = armctl.move_path(arm, None, [pose], free="z")
+    assert motion.duration == 0.0
+    assert_passed(arm, motion, pose.position[None], -pose.rotation[:, 2], 0.0)
+
+
 def test_points_far_apart_are_joined_by_lines(arm):
     corners = np.array([[0.2, -0.1, 0.2], [0.3, 0.1, 0.2]])
     motion = armctl.move_path(arm, None, corners, normals=UP)

@@ -207,3 +207,14 @@ def test_the_center_between_the_pads_is_where_the_hand_holds(gantry: armctl.Arm)
     assert np.abs(frames.closing) == pytest.approx([0, 1, 0], abs=1e-6)
     assert frames.pointing == pytest.approx([0, 0, 1], abs=1e-6)
     assert frames.depth == pytest.approx(0.025)
+
+
+def test_a_jaw_that_turns_holds_at_its_end():
+    if not at_hand("so_arm100"):
+        pytest.skip(f"so_arm100: {MISSING}")
+    can = armctl.World().add("can", armctl.Cylinder(0.0125, 0.05), [0.0, -0.24, 0.025], mass=0.03)
+    sim = armctl.Simulation(armctl.load("so_arm100", scene=can))
+    picked = sim.pick("can")
+    assert picked, picked.reason
+    assert picked.touched == ()
+    assert sim.data.body("can").xpos[2] > 0.06

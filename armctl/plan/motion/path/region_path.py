@@ -173,9 +173,9 @@ class _Ladder:
             q = self._relaxed(points, q, _SWEEPS)
         jumps = np.abs(np.diff(q, axis=0)).max(axis=1) > _MAX_POINT_STEP
         if not jumps.any():
-            q = self._smoothed(q)
+            return self._chain.from_units(self._smoothed(q)), np.empty(0, np.int64)
         first = int(jumps.argmax())
-        return self._chain.from_units(q), np.array([first, first + 1]) if jumps.any() else np.empty(0, np.int64)
+        return self._chain.from_units(q), np.array([first, first + 1])
 
     def _smoothed(self, q: Array) -> Array:
         """The way without the kinks where it meets a cone or a limit: filtered, and back in the regions. Its start stays."""
