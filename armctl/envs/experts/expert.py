@@ -12,6 +12,7 @@ from armctl.envs.batch import Batch
 from armctl.envs.tasks.tabletop import Tabletop
 from armctl.plan.ik.problem import ik_chain
 from armctl.plan.ik.solve import solve_ik
+from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 
 ACTIONS = ("joint_target", "joint_delta", "cartesian_delta")
 _SPEED = 0.4  # reaches per second
@@ -96,6 +97,16 @@ def max_turns(batch: Batch, max_lag: float, speed_share: float = 1.0) -> Array:
     return np.minimum(speed_share * speed, np.sqrt(2.0 * max_lag * acceleration)) * batch.step_time
 
 
+def next_time(batch: Batch, motion: JointTrajectory, most: Array, time: float, target: Array) -> float:
+    """s, on a motion at the end of a step: one action comes there, and no joint moves by more than `most` (n,) rad."""
+    turns = np.abs(motion(time + batch.step_time).q - motion(time).q)
+    share = min(1.0, float(np.min(most / np.maximum(turns, 1e-9))))
+    if batch.action != "joint_target":
+        action = action_towards(batch, target, motion(time + share * batch.step_time).q)
+        share /= max(1.0, float(np.abs(action).max()))
+    return time + share * batch.step_time
+
+
 class CartesianExpert(Expert):
     """A policy that commands positions of the end of the tool."""
 
@@ -108,8 +119,12 @@ class CartesianExpert(Expert):
         self._max_turns = max_turns(batch, _MAX_LAG, _SPEED_SHARE)
 
     def begin(self) -> None:
-        self.position = self.end
         self._q = self.arm.limits.clamp(self.batch.rows.q[self.row])
+        self.start_here()
+
+    def start_here(self) -> None:
+        """Begins to command positions where the end of the tool is now."""
+        self.position = self.end
         self._speed = 0.0
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.target import Target
 from armctl.core.validation import Array
-from armctl.envs.experts.expert import Command, Expert, action_towards, max_turns, within_step
+from armctl.envs.experts.expert import Command, Expert, action_towards, max_turns, next_time, within_step
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.collision.checkers import collision_checker
@@ -60,7 +60,7 @@ class ReachPastExpert(Expert):
 
     def next(self) -> Command:
         target = self.batch.rows.target[self.row]
-        self._time = self._next_time(self._motion, self._max_turns, self._time, target)
+        self._time = next_time(self.batch, self._motion, self._max_turns, self._time, target)
         return Command(self._motion(self._time).q)
 
     def _plans(self) -> Iterator[JointTrajectory]:
@@ -86,16 +86,6 @@ class ReachPastExpert(Expert):
         model.geom_aabb[obstacle.geomadr[0]] *= growth
         return replace(self.arm, model=model)
 
-    def _next_time(self, motion: JointTrajectory, most: Array, time: float, target: Array) -> float:
-        """s, on a motion at the end of a step: one action comes there, and no joint moves by more than `most` (n,) rad."""
-        step_time = self.batch.step_time
-        turns = np.abs(motion(time + step_time).q - motion(time).q)
-        share = min(1.0, float(np.min(most / np.maximum(turns, 1e-9))))
-        if self.batch.action != "joint_target":
-            action = action_towards(self.batch, target, motion(time + share * step_time).q)
-            share /= max(1.0, float(np.abs(action).max()))
-        return time + share * step_time
-
     def _solves(self, motion: JointTrajectory, most: Array, checker: CollisionChecker) -> bool:
         """Whether the references of the joints touch nothing and come to the goal in time."""
         batch = self.batch
@@ -104,7 +94,7 @@ class ReachPastExpert(Expert):
         velocity = np.zeros(self.arm.n)
         time = 0.0
         for _ in range(batch.horizon - _STEPS_TO_SPARE):
-            time = self._next_time(motion, most, time, target)
+            time = next_time(batch, motion, most, time, target)
             before = reference.copy()
             action = within_step(batch, action_towards(batch, target, motion(time).q))
             batch.rows.rehearse(action, target, reference, velocity)

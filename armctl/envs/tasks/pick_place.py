@@ -1,5 +1,8 @@
 """PickPlace: lift an object to a goal with a gripper."""
 
+from dataclasses import replace
+from functools import cached_property
+
 import numpy as np
 
 from armctl.core.errors import InputError, ModelError
@@ -14,6 +17,9 @@ from armctl.envs.tasks.tabletop import (
 )
 from armctl.envs.tasks.task import ArmSource, Episode, Task
 from armctl.envs.tasks.tool import find_grip, find_tool, jaw_center
+from armctl.model.arm.arm import Arm
+from armctl.model.gripper.grip_frames import GripFrames, grip_frames
+from armctl.model.gripper.gripper_model import GripperModel, find_gripper_model
 from armctl.plan.ik.problem import ik_chain
 
 _WIDTH_SHARE = 0.5  # of the object, of the open gripper
@@ -64,6 +70,21 @@ class PickPlace(Task):
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
         self.goals = np.array([[self._goal(rng)] for _ in range(TABLETOP_GOALS)])
+
+    @cached_property
+    def handling_arm(self) -> Arm:
+        """The arm for plans: what has no shape touches nothing in the simulation either."""
+        return replace(self.arm, unchecked_links=())
+
+    @cached_property
+    def gripper(self) -> GripperModel:
+        """The gripper in the scene of the task."""
+        return find_gripper_model(self.arm)
+
+    @cached_property
+    def grip_frames(self) -> GripFrames:
+        """Where it holds."""
+        return grip_frames(self.arm, self.gripper)
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """A start above the table, a goal in the air, and a place of the object."""
