@@ -77,8 +77,8 @@ class ArmEnv(gymnasium.Env):
 
         Args:
             seed: What decides everything random from now on; None goes on with the old one.
-            options: A dictionary with `goal`, (3,) m (3 K of K tips) or a Region of which one position is drawn, or `start`, (n,)
-                rad, or both; what is left out is drawn.
+            options: A dictionary with `goal`, (3,) m (3 K of K tips) or a Region of which one position is drawn, or `start`,
+                (n,) rad, or both; what is left out is drawn.
 
         Returns:
             The observation, and an empty dictionary.
