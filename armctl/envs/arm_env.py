@@ -77,8 +77,8 @@ class ArmEnv(gymnasium.Env):
 
         Args:
             seed: What decides everything random from now on; None goes on with the old one.
-            options: A dictionary with `goal`, (3,) m (3 K of K tips) or a Region of which one position is drawn, or `start`,
-                (n,) rad, or both; what is left out is drawn.
+            options: A dictionary with `goal`, (3,) m, of several tips by name, or a Region of which one position is drawn, or
+                `start`, (n,) rad, or both; what is left out is drawn.
 
         Returns:
             The observation, and an empty dictionary.
@@ -87,6 +87,7 @@ class ArmEnv(gymnasium.Env):
             InputError: The seed is not an integer of at least 0, an option is not known, the tip cannot reach the goal, or the
                 goal of the task moves.
             LimitError: A start outside the limits.
+            UnknownNameError: A goal for a tip that the robot does not have.
         """
         super().reset(seed=None if seed is None else integer("seed", seed, 0))
         self.batch.reset((0,), (self.np_random,), options)

@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, UnknownNameError, few_names
 from armctl.core.pose import matrix_from_quat
 from armctl.core.region import Region
 from armctl.core.validation import Array, BoolArray, as_array, choice, flag, instance, integer, matrix, shown, vector
@@ -276,9 +276,9 @@ class Batch:
                 raise InputError(f"options: goal: that of {self.task.name} moves along a path; it cannot be set")
             goal = options["goal"]
             if not isinstance(goal, Region):
-                goal = self._of_each_row("options: goal", goal, self.goal.shape[-1])
+                goal = self._goals(goal)
             elif self.goal.shape[-1] != 3:
-                raise InputError(f"options: goal: a Region is for one tip; give {self.goal.shape[-1]} numbers")
+                raise InputError("options: goal: a Region is for one tip; give points by tip")
             if isinstance(goal, np.ndarray) and not self.task.object:
                 self._require_reachable(goal)
         start = None
@@ -288,6 +288,19 @@ class Batch:
             if not (self.task.object or self.task.obstacle):  # what moves in a scene is elsewhere in each episode
                 self._require_free(start)
         return goal, start
+
+    def _goals(self, given: Any) -> Array:
+        """(count, 3 K) m, goals as numbers, or by tip."""
+        if not isinstance(given, Mapping):
+            return self._of_each_row("options: goal", given, self.goal.shape[-1])
+        tips = self.arm.tips
+        for tip in given:
+            if tip not in tips:
+                raise UnknownNameError.from_known(f"tip of {self.arm.name:.60}", tip, tips)
+        missing = [tip for tip in tips if tip not in given]
+        if missing:
+            raise InputError(f"options: goal: each tip needs one, and there is none for {few_names(missing)}")
+        return np.concatenate([self._of_each_row("options: goal", given[tip], 3) for tip in tips], axis=1)
 
     def _of_each_row(self, what: str, value: Any, size: int) -> Array:
         """(count, size) numbers of an option, given for each episode or once for all."""

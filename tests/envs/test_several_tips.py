@@ -70,6 +70,12 @@ def test_a_goal_that_one_tip_cannot_reach_names_the_tip(pair):
     env = armctl.envs.ArmEnv(pair, action="joint_delta")
     near = env.batch.task.goals[0, 0].copy()
     env.reset(seed=0, options={"goal": near})
+    observation, _ = env.reset(seed=0, options={"goal": {"F": near[3:], "C": near[:3]}})
+    assert np.allclose(observation[env.batch.observer.columns["goal"]], near)
+    with pytest.raises(armctl.InputError, match="there is none for F"):
+        env.reset(seed=0, options={"goal": {"C": near[:3]}})
+    with pytest.raises(armctl.UnknownNameError, match="unknown tip of pair 'f'"):
+        env.reset(seed=0, options={"goal": {"C": near[:3], "f": near[3:]}})
     near[3:] = 9.0
     with pytest.raises(armctl.InputError, match=r"F is .* m away"):
         env.reset(seed=0, options={"goal": near})
