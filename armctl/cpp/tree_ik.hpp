@@ -47,7 +47,7 @@ public:
         set_program(q, posture_gain > 0.0 ? POSTURE_WEIGHT : 0.0);
         bound_curvature();
         approach_polygon(dt);
-        bool is_exact = solve_program(way_);
+        const bool is_solved = solve_program(way_);
         const double share = share_of_way(way_, dt);
         for (size_t i = 0; i < n(); ++i) {
             const Bounds bounds = speeds(i, q[i], v_before[i], dt);
@@ -56,10 +56,18 @@ public:
             before_[i] = v_before[i] * dt / errors_.unit()[i];
             way_[i] *= share;
         }
-        is_exact = is_exact && turn_to(q, 1.0, dt);
+        bool is_exact = is_solved && turn_to(q, 1.0, dt);
         const double slower = is_exact ? slowed_by_curves(dt) : 1.0;
         if (slower < 1.0) { is_exact = turn_to(q, slower, dt); }
-        if (is_exact && std::ranges::any_of(tasks_, &TreeTask::exact)) { is_exact = can_rest(q, dt); }
+        if (std::ranges::any_of(tasks_, &TreeTask::exact)) {
+            // Where a step bends too much, a slower one bends less: out of a singular configuration the joints creep.
+            double slow = slower;
+            is_exact = is_exact && can_rest(q, dt);
+            for (int trial = 0; !is_exact && is_solved && trial < MAX_SLOWER; ++trial) {
+                slow *= SLOWER;
+                is_exact = turn_to(q, slow, dt) && can_rest(q, dt);
+            }
+        }
         if (!is_exact) { is_exact = brake(q, dt); }
         for (size_t i = 0; i < n(); ++i) {
             const Bounds bounds{low_[i], high_[i]};
@@ -126,7 +134,9 @@ private:
     static constexpr double BRAKING_SHARE = 0.8;  // of the accelerations: the rest keeps exact tasks on their curves
     static constexpr double CURVE_SHARE = 0.1;    // of the accelerations, on the curves of exact tasks
     static constexpr double ROUNDING = 1e-12;     // relative, of speeds
-    static constexpr int MAX_STOPPING = 400;      // that are looked ahead
+    static constexpr int MAX_STOPPING = 400;      // steps that are looked ahead
+    static constexpr int MAX_SLOWER = 6;          // trials of slower steps, ...
+    static constexpr double SLOWER = 0.25;        // ... each slower than the one before
 
     // The speeds that a joint may have for the next dt.
     Bounds speeds(size_t i, double q, double v_before, double dt) const {

@@ -400,6 +400,24 @@ def test_feet_stay_where_legs_are_stretched(seed):
         assert max(gap(robot, q, tip, pose)[0] for tip, pose in feet.items()) < 1e-6
 
 
+def test_hands_come_back_from_where_legs_are_stretched():
+    """A leg that is straight can only leave that position slowly."""
+    if not at_hand("unitree_h1"):
+        pytest.skip(f"unitree_h1: {MISSING}")
+    robot = armctl.load("unitree_h1", base="free")
+    hands = {tip: robot.fk(robot.home, tip).position for tip in ("left_elbow_link", "right_elbow_link")}
+    feet = dict.fromkeys(("left_ankle_link", "right_ankle_link"), STAY)
+    rng = np.random.default_rng(1)
+    ik = armctl.DifferentialIk(robot)
+    q = robot.home
+    for k in range(2200):
+        if k % 200 == 0 and k < 1200:
+            away = {tip: hands[tip] + rng.choice([0.1, 0.3, 2.0]) * rng.normal(size=3) for tip in hands}
+        q = q + 0.005 * ik.step(q, (away if k < 1200 else hands) | feet, 0.005)
+        assert ik.status == "solved"
+    assert max(np.linalg.norm(robot.fk(q, tip).position - point) for tip, point in hands.items()) < 1e-5
+
+
 def test_a_joint_that_cannot_stop_in_time_is_slowed_from_the_first_step(torso):
     """A start at full speed towards a limit: the limit holds if it can, and the acceleration limit does in any case."""
     q = torso.home.copy()
