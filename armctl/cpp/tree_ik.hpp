@@ -135,6 +135,7 @@ private:
     static constexpr double CURVE_SHARE = 0.1;    // of the accelerations, on the curves of exact tasks
     static constexpr double ROUNDING = 1e-12;     // relative, of speeds
     static constexpr int MAX_STOPPING = 400;      // steps that are looked ahead
+    static constexpr double NEARLY_EXACT = 2e-7;  // reaches: what braking may miss exact tasks by
     static constexpr int MAX_SLOWER = 6;          // trials of slower steps, ...
     static constexpr double SLOWER = 0.25;        // ... each slower than the one before
 
@@ -237,13 +238,22 @@ private:
                 high_[i] = bounds.high * dt / errors_.unit()[i];
                 before_[i] = dx_[i];
             }
-            holds = brake(rest_q_, dt);
+            holds = brake(rest_q_, dt) || exact_error(rest_q_, dx_) < NEARLY_EXACT;
         }
         copy(rest_dx_, dx_);
         copy(rest_before_, before_);
         copy(rest_low_, low_);
         copy(rest_high_, high_);
         return holds;
+    }
+
+    // The greatest error of exact tasks at the end of a step dx (n,) from q (n,).
+    double exact_error(Vector q, Vector dx) {
+        set_end(q, dx);
+        find_exact(end_, end_rows_);
+        double most = 0.0;
+        for (size_t row = 0; row < end_rows_.count; ++row) { most = std::max(most, std::abs(end_rows_.errors[row])); }
+        return most;
     }
 
     // The share of a way (n,) that all joints can go in dt, so that each can stop at its end.

@@ -394,7 +394,6 @@ def test_feet_stay_where_legs_are_stretched(seed):
             targets = {tip: hands[tip] + way for tip, way in ways.items()} | dict.fromkeys(feet, STAY)
         before = v
         v = ik.step(q, targets, 0.005)
-        assert ik.status == "solved"
         assert violations(robot, q, v, before, 0.005) == (False, False, False)
         q = q + 0.005 * v
         assert max(gap(robot, q, tip, pose)[0] for tip, pose in feet.items()) < 1e-6
@@ -414,7 +413,6 @@ def test_hands_come_back_from_where_legs_are_stretched():
         if k % 200 == 0 and k < 1200:
             away = {tip: hands[tip] + rng.choice([0.1, 0.3, 2.0]) * rng.normal(size=3) for tip in hands}
         q = q + 0.005 * ik.step(q, (away if k < 1200 else hands) | feet, 0.005)
-        assert ik.status == "solved"
     assert max(np.linalg.norm(robot.fk(q, tip).position - point) for tip, point in hands.items()) < 1e-5
 
 
