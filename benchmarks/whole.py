@@ -1,6 +1,7 @@
 """Whole robots: two hands, feet that stay, fingertips, bases that move, beside mink in the same run; MuJoCo judges.
 
     python benchmarks/whole.py [--targets 1000] [--steps 40000] [--motions 100] [--out benchmarks/results/whole.md]
+    python benchmarks/whole.py --only steps --without-mink --steps 1000000
 
 The first table: targets for all tips of a robot at once, each of a random configuration inside the joint limits, from a random
 start; poses where each chain has six joints or more of its own, else points. Solved: each tip within 1e-5 m and 1e-4 rad by
@@ -10,8 +11,11 @@ The second: steps of 5 ms of differential inverse kinematics on a humanoid whose
 feet stay. mink has the feet as tasks with the weights of its own example for this robot, and once as equalities. Times are
 medians of the public calls. The targets jump every two seconds, a third of them far out of reach. Steps that exceed a limit
 count from 1e-9 on, relative; mink has no limit of acceleration. Where its program has no solution, the robot stands still.
+After all steps the targets are where the hands were at first, for ten seconds: what is left then is drift.
 
 The third: motions between random configurations of arms with closed loops, each setpoint judged by MuJoCo's constraints.
+
+The last: ticks of computed torque with MuJoCo's step, of one arm and of two arms as one, in turns; the least of each.
 """
 
 from __future__ import annotations
@@ -42,6 +46,10 @@ LOOPS = (
     ("gripper of the xArm 7", "ufactory_xarm7/hand", "left_finger"),
 )
 SLIP = 1e-6  # m: a foot that is farther off has left its place
+RETURNING = 2000  # steps after all others, with the targets where the hands were at first
+TABLES = ("targets", "steps", "loops", "ticks")
+TICKS = 2000
+TURNS = 20  # of the runs whose ticks are compared
 
 
 class Judge:
@@ -104,6 +112,7 @@ class Steps:
         self.exceeded = np.zeros(3, int)
         self.slips: list[float] = []
         self.unsolved = 0
+        self.drift = ""
 
     def add(self, seconds: float, q: np.ndarray, v: np.ndarray, feet: dict[str, np.ndarray]) -> None:
         """One step: the joints after it (k,), their speeds, and the places of the feet."""
@@ -122,7 +131,12 @@ class Steps:
     def row(self, name: str) -> list[str]:
         slips = np.array(self.slips)
         feet = f"{1e6 * slips.max():.2g} um, {int((slips > SLIP).sum())}"
-        return [name, f"{1e6 * np.median(self.times):.0f} us", feet, *map(str, self.exceeded), str(self.unsolved)]
+        return [name, f"{1e6 * np.median(self.times):.0f} us", feet, *map(str, self.exceeded), str(self.unsolved), self.drift]
+
+    def come_back(self, hands: dict[str, np.ndarray], places: dict[str, np.ndarray], turned: np.ndarray) -> None:
+        """Where the hands are after all steps, and how far the joints are from where they were at first."""
+        off = max(float(np.linalg.norm(hands[hand] - places[hand])) for hand in HANDS)
+        self.drift = f"{1e6 * off:.2g} um, {np.abs(turned).max():.1g} rad"
 
 
 def follow_with_armctl(steps: int) -> list[str]:
@@ -135,14 +149,17 @@ def follow_with_armctl(steps: int) -> list[str]:
     q = arm.home.copy()
     seen = Steps(arm.limits, {foot: start[foot].position for foot in FEET}, slice(0, None))
     targets: dict[str, object] = {}
-    for k in range(steps):
-        if k % 400 == 0:
+    for k in range(steps + RETURNING):
+        if k == steps:
+            targets = hands | dict.fromkeys(FEET, armctl.STAY)
+        elif k % 400 == 0 and k < steps:
             targets = hand_targets(hands, rng) | dict.fromkeys(FEET, armctl.STAY)
         begin = time.perf_counter()
         v = ik.step(q, targets, DT)
         seconds = time.perf_counter() - begin
         q = q + DT * v
         seen.add(seconds, q, v, {foot: pose.position for foot, pose in judge.tips(q).items()})
+    seen.come_back({hand: pose.position for hand, pose in judge.tips(q).items()}, hands, q - arm.home)
     return seen.row("armctl")
 
 
@@ -169,9 +186,11 @@ def follow_with_mink(steps: int, *, exactly: bool) -> list[str]:
     exact = list(feet.values()) if exactly else []
     rng = np.random.default_rng(0)
     seen = Steps(arm.limits, {foot: places[foot] for foot in FEET}, own)
-    for k in range(steps):
-        if k % 400 == 0:
-            for hand, point in hand_targets({hand: places[hand] for hand in HANDS}, rng).items():
+    at_first = configuration.q[addresses].copy()
+    for k in range(steps + RETURNING):
+        if k == steps or (k % 400 == 0 and k < steps):
+            around = {hand: places[hand] for hand in HANDS}
+            for hand, point in (around if k == steps else hand_targets(around, rng)).items():
                 hands[hand].set_target(mink.SE3.from_translation(point))
         begin = time.perf_counter()
         try:
@@ -183,6 +202,8 @@ def follow_with_mink(steps: int, *, exactly: bool) -> list[str]:
         seconds = time.perf_counter() - begin
         found = {foot: configuration.data.body(foot).xpos for foot in FEET}
         seen.add(seconds, configuration.q[addresses], v[dofs], found)
+    ends = {hand: configuration.data.body(hand).xpos for hand in HANDS}
+    seen.come_back(ends, places, configuration.q[addresses] - at_first)
     return seen.row(f"mink {version('mink')}, feet as {'equalities' if exactly else 'tasks'}")
 
 
@@ -220,24 +241,65 @@ def loop_row(name: str, path: Path | str, tip: str | None, count: int) -> list[s
     ]
 
 
+def two_pandas() -> armctl.Arm:
+    """Two robots of one file, in the reach of each other."""
+    path = f"{os.environ['MENAGERIE_ROOT']}/franka_emika_panda/panda.xml"
+    both = mujoco.MjSpec()
+    both.option = mujoco.MjSpec.from_file(path).option
+    for side, y in (("left/", 0.4), ("right/", -0.4)):
+        both.attach(mujoco.MjSpec.from_file(path), prefix=side, frame=both.worldbody.add_frame(pos=[0, y, 0]))
+    return armctl.load(both)
+
+
+def tick_row(name: str, *arms: armctl.Arm) -> list[str]:
+    """A tick of one arm, and of two arms as one: the least of runs in turns."""
+    runs = []
+    for arm in arms:
+        simulation = armctl.Simulation(arm, armctl.ComputedTorque(arm))
+        motion = armctl.out_and_back(arm)
+        ticks = len(simulation.run(motion, dwell=TICKS * arm.dt))
+        runs.append((simulation, motion, ticks))
+    least = [np.inf, np.inf]
+    for _ in range(TURNS):
+        for k, (simulation, motion, ticks) in enumerate(runs):
+            begin = time.perf_counter()
+            simulation.run(motion, dwell=TICKS * simulation.arm.dt)
+            least[k] = min(least[k], (time.perf_counter() - begin) / ticks)
+    cells = [f"{arm.n}: {1e6 * seconds:.1f} us" for arm, seconds in zip(arms, least, strict=True)]
+    return [name, *cells, f"{least[1] / least[0]:.2f}"]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--targets", type=int, default=1000, help="of each robot")
     parser.add_argument("--steps", type=int, default=40_000, help="of differential inverse kinematics")
     parser.add_argument("--motions", type=int, default=100, help="of each arm with closed loops")
+    parser.add_argument("--only", nargs="+", choices=TABLES, default=TABLES, help="some of the tables")
+    parser.add_argument("--without-mink", action="store_true", help="steps of armctl only")
     parser.add_argument("--out", type=Path, help="a Markdown file for the tables")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
-    rows = [solve_row(name, args.targets) for name in ROBOTS]
-    solved = markdown_table(["robot", "joints", "targets", "solved", "median", "99 %"], rows)
-    rows = [follow_with_armctl(args.steps), *(follow_with_mink(args.steps, exactly=exactly) for exactly in (False, True))]
-    columns = ["", "a step", "feet: at most, steps off by 1 um", "position", "speed", "acceleration", "no solution"]
-    followed = markdown_table(columns, rows)
-    rows = [loop_row(*each, args.motions) for each in LOOPS]
-    columns = ["", "joints", "motions", "setpoints", "loops open by at most", "to plan a motion", "poses solved"]
-    closed = markdown_table(columns, rows)
-    text = f"{solved}\n\n{args.steps} steps of a humanoid with 25 joints; steps that exceed a limit:\n\n{followed}\n"
-    text += f"\nMotions of arms with closed loops:\n\n{closed}\n"
+    tables = []
+    if "targets" in args.only:
+        rows = [solve_row(name, args.targets) for name in ROBOTS]
+        tables.append(markdown_table(["robot", "joints", "targets", "solved", "median", "99 %"], rows))
+    if "steps" in args.only:
+        rows = [follow_with_armctl(args.steps)]
+        rows += [] if args.without_mink else [follow_with_mink(args.steps, exactly=exactly) for exactly in (False, True)]
+        columns = ["", "a step", "feet: at most, steps off by 1 um", "position", "speed", "acceleration", "no solution"]
+        tables.append(f"{args.steps} steps of a humanoid with 25 joints; steps that exceed a limit:")
+        tables.append(markdown_table([*columns, "drift: hands, joints"], rows))
+    if "loops" in args.only:
+        rows = [loop_row(*each, args.motions) for each in LOOPS]
+        columns = ["", "joints", "motions", "setpoints", "loops open by at most", "to plan a motion", "poses solved"]
+        tables += ["Motions of arms with closed loops:", markdown_table(columns, rows)]
+    if "ticks" in args.only:
+        pandas = ("Panda", armctl.load("panda"), two_pandas())
+        alohas = ("aloha", armctl.load("aloha", tip="left/gripper"), armctl.load("aloha"))
+        tables.append("A tick of computed torque with MuJoCo's step:")
+        columns = ["robot", "joints of one arm, a tick", "of two", "ratio"]
+        tables.append(markdown_table(columns, [tick_row(*each) for each in (pandas, alohas)]))
+    text = "\n\n".join(tables) + "\n"
     print(text)
     if args.out is not None:
         args.out.write_text(text)
