@@ -154,15 +154,26 @@ def _run(arm: armctl.Arm, case: Case, tip_speed: float) -> Outcome:
     return Outcome(not reason, off_arc, off_angle, reason, time.perf_counter() - begin)
 
 
+def _start(arm: armctl.Arm, case: Case, touching: list[tuple[str, str]]) -> np.ndarray | None:
+    """How the arm grasps the handle: as is next to its home, or any way, from which it can go through the whole arc."""
+    arc = armctl.Region.union(case.arc(case.handle, STEPS))
+    for q in (armctl.solve_ik(arm, case.handle).q, None):
+        with contextlib.suppress(armctl.PlanError):
+            turn = armctl.move_path(arm, q, arc)
+            if armctl.check_clearance(arm, turn, allow=touching):
+                return turn(0.0).q
+    return None
+
+
 def _turned(sim: armctl.Simulation, case: Case, tip_speed: float) -> tuple[str, armctl.Log | None]:
     """Why the hand has not turned the handle, empty if it has, and the log of the turn."""
-    bodies = [sim.model.body(k).name for k in range(1, sim.model.nbody)]
-    touching = [(body, "handle") for body in bodies if body not in KINDS]
+    bodies = {sim.model.body(k).name for k in range(1, sim.model.nbody)}
+    turning = bodies.intersection(KINDS).pop()
+    touching = [(body, "handle") for body in bodies - {turning}]
     sim.gripper.open()
-    try:  # the whole arc first: it tells how the hand must come
-        q = armctl.move_path(sim.arm, None, armctl.Region.union(case.arc(case.handle, STEPS)))(0.0).q
-    except armctl.PlanError as error:
-        return str(error), None
+    q = _start(sim.arm, case, [*touching, *((body, turning) for body in bodies - {turning})])
+    if q is None:
+        return "no motion through the whole arc was found", None
     handle = sim.arm.fk(q)
     before = armctl.solve_ik(sim.arm, handle @ BEFORE, q)
     if not before:

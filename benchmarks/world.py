@@ -1,6 +1,6 @@
 """Worlds that are seen: clouds of points instead of bodies, their cost, bodies that are carried, and many bodies.
 
-    python benchmarks/world.py [--problems FILE.json] [--every K] [--only problems chunks changes many stick] [--out FILE]
+    python benchmarks/world.py [--problems FILE.json] [--every K] [--only PART ...] [--out FILE]
 
 A problem file is that of benchmarks/planning.py. Each body is replaced by points on its surface, on a grid; their radius leaves
 no hole. Motions are judged by MuJoCo with the bodies themselves, at 10 kHz, and carried bodies by points along them.
@@ -9,6 +9,7 @@ no hole. Motions are judged by MuJoCo with the bodies themselves, at 10 kHz, and
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -34,12 +35,14 @@ CHUNKS = 300
 SWAPPED_POINTS = 100_000
 CHANGES = 10_000
 STICK_MOVES = 200
+PLANS = 100
 STICK = armctl.Cylinder(0.01, 0.3)
 T_TIP_STICK = armctl.Pose([0.0, 0.0, 0.16])
 
 
 def main() -> None:
-    parts = {"problems": on_problems, "chunks": on_chunks, "changes": on_changes, "many": on_many_bodies, "stick": on_stick}
+    parts = {"problems": on_problems, "planning": on_planning, "chunks": on_chunks, "changes": on_changes}
+    parts |= {"many": on_many_bodies, "stick": on_stick}
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--problems", type=Path, help="a file of problems for the Panda")
     parser.add_argument("--every", type=int, default=1, help="take every K-th problem")
@@ -276,6 +279,28 @@ def on_chunks(args: argparse.Namespace) -> str:
     return titled_table("Proof of a motion of 1 s with its closest approach, Panda", header, rows)
 
 
+def on_planning(args: argparse.Namespace) -> str:
+    """Motions around bodies, and around as many points as a camera gives of them."""
+    arm = armctl.load("panda")
+    worlds = {"bodies": furniture(), "points": cloud_of(MANY_POINTS)}
+    solved: dict[tuple[str, int], float] = {}
+    for k, (first, second) in enumerate(free_pairs(arm, worlds["points"], PLANS)):
+        for name, world in worlds.items():
+            plan = partial(armctl.move_free, arm, first, second, world=world)
+            with contextlib.suppress(armctl.PlanError):
+                plan()
+                solved[name, k] = 1e3 * cpu_time(plan)
+    both = [k for k in range(PLANS) if all((name, k) in solved for name in worlds)]
+    of_bodies = sum(solved["bodies", k] for k in both)
+    rows = []
+    for name in worlds:
+        times = [time for (world, _), time in solved.items() if world == name]
+        share = sum(solved[name, k] for k in both) / of_bodies
+        rows.append([name, f"{len(times)} of {PLANS}", *(f"{np.percentile(times, p):.1f}" for p in (50, 95)), f"{share:.2f}"])
+    header = ["world", "solved", "median, ms", "95 %, ms", "time, relative to bodies"]
+    return titled_table(f"Motions around the same furniture as bodies and as {MANY_POINTS:,} points, Panda", header, rows)
+
+
 def on_changes(args: argparse.Namespace) -> str:
     """Large clouds that replace each other, and memory."""
     arm = armctl.load("panda")
@@ -343,7 +368,7 @@ def on_stick(args: argparse.Namespace) -> str:
     """Moves with a stick of 30 cm at the tip."""
     arm = armctl.load("panda")
     rows = []
-    starts = stick_goals(arm)
+    starts = free_pairs(arm, furniture().add("stick", STICK).attach("stick", T_TIP_STICK), STICK_MOVES)
     for attached in (True, False):
         world = furniture()
         if attached:
@@ -362,12 +387,11 @@ def on_stick(args: argparse.Namespace) -> str:
     return titled_table("A stick of 30 cm carried around furniture, Panda", header, rows)
 
 
-def stick_goals(arm: armctl.Arm) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of configurations at which arm and stick are free."""
-    world = furniture().add("stick", STICK).attach("stick", T_TIP_STICK)
+def free_pairs(arm: armctl.Arm, world: armctl.World, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of random configurations at which the arm, and what it carries, is free."""
     rng = np.random.default_rng(5)
     free: list[np.ndarray] = []
-    while len(free) < 2 * STICK_MOVES:
+    while len(free) < 2 * count:
         q = arm.limits.random(arm.home, 1, rng)[0]
         standing = armctl.move_j(arm, q, q)
         if armctl.check_clearance(arm, standing, 0.01, world=world).ok:
