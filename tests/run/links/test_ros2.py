@@ -188,9 +188,9 @@ def test_what_speaks_against_a_robot_of_ros_is_one_sentence(arm: armctl.Arm, mon
         seconds = float(str(caught.value).partition("stamped ")[2].split()[0])
         assert 3.0 <= seconds < 3.05  # as far as its states were on their way
         controller.stamp_offset = 0.0
-        monkeypatch.setattr(ros2_connection, "_DISCOVERY_S", 2.0)
         with pytest.raises(armctl.LinkError, match=r"it has no .*, but joint_0, joint_1 and joint_2; give joints="):
             armctl.links.ROS2(arm, namespace="named").open()
+        monkeypatch.setattr(ros2_connection, "_DISCOVERY_S", 5.0)
         with pytest.raises(armctl.LinkError, match=r"no controller takes motions there.*others are taken on /named/joint"):
             armctl.links.ROS2(arm, "other_controller", "named", joints=names).open()
     monkeypatch.setattr(ros2_connection, "_DISCOVERY_S", 0.2)
