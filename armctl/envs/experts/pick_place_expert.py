@@ -47,6 +47,7 @@ class PickPlaceExpert(CartesianExpert):
 
     def begin(self) -> None:
         super().begin()
+        self._opening = 1.0
         self._pick()
 
     def next(self) -> Command:

@@ -10,7 +10,6 @@ from itertools import islice
 import numpy as np
 
 from armctl.core.errors import LimitError, PlanError
-from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.result import Verdict
 from armctl.core.trajectory import Setpoint
@@ -28,7 +27,7 @@ from armctl.plan.motion.trajectory.path_stop import resting_at_end, stopped
 from armctl.plan.motion.trajectory.piecewise import Pieces, hermite, sample, standing, time_scaled
 from armctl.plan.stream.committed_motion import CommittedMotion, end_state
 from armctl.plan.stream.nearest_safe import nearest_safe
-from armctl.plan.stream.refusal import Refusal, rest_refusal
+from armctl.plan.stream.refusal import Refusal, quick_refusal, rest_refusal
 from armctl.plan.stream.timed_targets import Knots, TimedTargets
 
 # Paces that are tried one after another; they are shares of what the limits allow.
@@ -47,7 +46,7 @@ class GateAnswer(Verdict):
         motion: What may be sent to the motors. It begins at the state that was given, keeps all limits, and ends at rest. If
             not ok, it is the longest beginning that was found, at worst a stop.
         proved: Whether the motion is proved to touch nothing. False only where the arm moves so fast, or is so near to a body
-            when it is seen, that no stop was proved; the motion then is the stop.
+            when it is seen, that no stop was proved; the motion then is the fastest stop.
         pace: The share of the speed that was asked for: 1, or less where the limits or the clearance need a slower motion.
         reason: Why it is not ok, in one sentence; empty if it is.
         bodies: The two bodies that would touch; empty if something else is in the way.
@@ -246,14 +245,13 @@ class Admission:
 
     def _shortened(self, pieces: Pieces, time: float) -> Pieces | None:
         """The motion up to a stop on its path as late as it is proved; None if none is."""
-        limits = limits_from(self._arm.limits, self.start)
         best: Pieces | None = None
         low = 0.0
         high = min(time, float(pieces.knots[-1]))
         moment = 0.0 if self._moves else 0.5 * high
         for _ in range(_HALVINGS):
-            stop = self._stopped(pieces, limits, moment)
-            if stop is not None:
+            stop = self._stopped(pieces, moment)
+            if stop is not None and not self._planner.is_refused(stop):
                 best = stop
                 low = moment
             elif moment == 0.0:
@@ -263,12 +261,28 @@ class Admission:
             moment = 0.5 * (low + high)
         return best
 
-    def _stopped(self, pieces: Pieces, limits: Limits, moment: float) -> Pieces | None:
+    def _stopped(self, pieces: Pieces, moment: float) -> Pieces | None:
+        """The motion with a stop on its path from a time on; None if none keeps the limits."""
         try:
-            stop = stopped(pieces, limits, moment)
+            stop = stopped(pieces, limits_from(self._arm.limits, self.start), moment)
         except PlanError:
             return None
-        return None if self._planner.is_refused(stop) or not self._keeps_limits(stop) else stop
+        return stop if self._keeps_limits(stop) else None
+
+    def _nearest_stop(self) -> tuple[Pieces, bool]:
+        """The fastest stop or that on the path, whichever keeps the clearance, or else touches nothing; whether one does."""
+        if not self._moves:
+            return standing(self.start.q), rest_refusal(self._checker, self.start.q, 0.0) is None
+        fastest = self._planner.stop(self._state)
+        on_path = None if self._running is None else self._stopped(self._running, 0.0)
+        stops = [stop for stop in (fastest, on_path) if stop is not None]
+        if not stops:
+            raise LimitError("state: the arm cannot stop inside its limits from this state; start slower")
+        for clearance in (self._clearance, 0.0):
+            for stop in stops:
+                if quick_refusal(self._checker, stop, clearance) is None:
+                    return stop, True
+        return stops[0], False
 
     def _keeps_limits(self, pieces: Pieces) -> bool:
         arm = self._arm
@@ -297,10 +311,7 @@ class Admission:
         if pieces is None and self._running is not None and not self._planner.is_refused(self._running):
             pieces = self._running
         elif pieces is None:
-            pieces = self._planner.stop(self._state) if self._moves else standing(self.start.q)
-            if pieces is None:
-                raise LimitError("state: the arm cannot stop inside its limits from this state; start slower")
-            proved = self._is_proved(pieces)
+            pieces, proved = self._nearest_stop()
         known = [self.start.q, np.asarray(end_state(pieces).q)]
         checker = self._checker
         clearance = self._required
@@ -318,8 +329,3 @@ class Admission:
             _search=lambda: nearest_safe(checker, arm.limits, asked, [*known, arm.home], clearance),
             _arm=arm,
         )
-
-    def _is_proved(self, pieces: Pieces) -> bool:
-        if pieces.knots[-1] == 0.0:
-            return rest_refusal(self._checker, self.start.q, 0.0) is None
-        return not self._planner.is_refused(pieces)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import armctl
 from armctl.core.trajectory import Setpoint
 from armctl.model.collision.checkers import collision_checker
+from armctl.plan.motion.trajectory.path_stop import remaining
 
 DT = 2e-3
 WALL = '<geom name="wall" type="box" size="0.02 1 1" pos="0.55 0 0.5"/>'
@@ -176,6 +177,48 @@ def test_a_motion_that_runs_brakes_before_what_appears_on_its_way_and_passes_wha
     assert all(checker.hit(q) < 0 for q in answer.motion.sample(np.linspace(0.0, answer.motion.duration, 200)).q)
     world.remove("ball")
     assert gate.admit(motion, at=at)
+
+
+def test_where_no_stop_keeps_the_clearance_one_that_touches_nothing_is_found(arm):
+    """A ball half a millimetre beside the stop on the path, and on the way of the fastest stop."""
+    rng = np.random.default_rng(4)
+    constructed = 0
+    for first, second in zip(free_configurations(arm, 20, 1), free_configurations(arm, 20, 2), strict=True):
+        motion = armctl.Gate(arm).admit(first, q=second).motion
+        if motion.duration < 0.4:
+            continue
+        at = 0.5 * motion.duration
+        on_path = rest_of(motion.stopped_at(at), at)
+        stream = armctl.Stream(arm, motion(at))
+        fastest = armctl.JointTrajectory(*stream.pieces, arm.joint_names, arm.limits)
+        for _ in range(5):
+            place = arm.fk(fastest(fastest.duration).q).position + rng.normal(size=3) * 0.03
+            low = 0.0
+            high = 0.2
+            while high - low > 1e-5:
+                middle = 0.5 * (low + high)
+                low, high = (low, middle) if near_ball(arm, on_path, place, middle) else (middle, high)
+            radius = low - 5e-4
+            if radius < 0.01 or not near_ball(arm, fastest, place, radius):
+                continue
+            constructed += 1
+            world = armctl.World().add("ball", armctl.Ball(radius), place)
+            answer = armctl.Gate(arm, world).admit(motion, at=at)
+            assert not answer
+            assert answer.proved
+            assert not near_ball(arm, answer.motion, place, radius)
+            assert answer.motion(0.0).q == pytest.approx(motion(at).q, abs=1e-9)
+    assert constructed > 5
+
+
+def rest_of(motion: armctl.JointTrajectory, at: float) -> armctl.JointTrajectory:
+    return armctl.JointTrajectory(*remaining(motion.pieces, at), motion.joint_names, motion.limits)
+
+
+def near_ball(arm: armctl.Arm, motion: armctl.JointTrajectory, place: np.ndarray, radius: float) -> bool:
+    """Whether the arm touches a ball during a motion."""
+    world = armctl.World().add("ball", armctl.Ball(radius), place)
+    return not armctl.check_clearance(arm, motion, 0.0, world=world).ok
 
 
 def test_what_the_arm_carries_is_proved_clear_too(arm_at_a_wall):
