@@ -51,7 +51,7 @@ def test_success_needs_both_tips(pair):
     one = there + np.array([0, 0, 0, 0.05, 0, 0])
     _, success, _ = batch.task.reward(np.array([there, one]), np.array([goal, goal]), False, is_sparse=False)
     assert success.tolist() == [True, False]
-    with pytest.raises(armctl.InputError, match=r"achieved_goal: expected \(\.\.\., 6\) m"):
+    with pytest.raises(armctl.InputError, match=r"achieved_goal: expected three of each tip, \(\.\.\., 6\) m"):
         batch.reward(goal[:3], goal[:3], None)
 
 
