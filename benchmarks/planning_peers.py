@@ -65,11 +65,17 @@ def ompl_planner(arm: armctl.Arm, is_free: Callable[[np.ndarray], bool]) -> Plan
     return plan
 
 
-def roboplan_planner(arm: armctl.Arm, allowed: set[tuple[int, int]]) -> Planner | None:
-    """RRT-Connect and shortcuts of roboplan; `allowed` are the pairs of geoms that may touch."""
+def roboplan_planner(
+    arm: armctl.Arm, allowed: set[tuple[int, int]], cubes: tuple[np.ndarray, float] | None = None
+) -> Planner | None:
+    """RRT-Connect and shortcuts of roboplan; `allowed` are the pairs of geoms that may touch.
+
+    `cubes` are the centres (N, 3) m and the edge of occupied cubes, an octree.
+    """
     try:
         from roboplan.core import (
             JointConfiguration,
+            OcTree,
             PathShortcutter,
             PathShortcuttingOptions,
             Scene,
@@ -92,6 +98,10 @@ def roboplan_planner(arm: armctl.Arm, allowed: set[tuple[int, int]]) -> Planner 
         if a < b and ((a, b) in allowed or not _are_tested(model, moved_by, a, b))
     ]
     scene.setCollisions(off, False)
+    if cubes is not None:
+        centres, edge = cubes
+        occupied = np.column_stack([centres, np.tile([edge, 1.0, 0.5], (len(centres), 1))])
+        scene.addOcTreeGeometry("cubes", "f0", OcTree(list(occupied), edge), np.eye(4, order="F"), np.ones(4))
     joints = [f"j{i}" for i in range(arm.n)]
     scene.addGroup("arm", joints)
     reference = arm.home
@@ -128,7 +138,11 @@ def _frames(arm: armctl.Arm) -> np.ndarray:
 
 
 def _are_tested(model: mujoco.MjModel, moved_by: np.ndarray, a: int, b: int) -> bool:
-    """Whether MuJoCo tests a pair of geoms by their bits, and the arm moves one of them relative to the other."""
+    """Whether MuJoCo tests a pair of geoms, and the arm moves one of them relative to the other."""
+    first, second = model.body_weldid[model.geom_bodyid[[a, b]]].tolist()
+    parents = model.body_weldid[model.body_parentid[[first, second]]].tolist()
+    if first > 0 and second > 0 and (first == parents[1] or second == parents[0]):
+        return False
     bits = (model.geom_contype[a] & model.geom_conaffinity[b]) | (model.geom_contype[b] & model.geom_conaffinity[a])
     return bool(bits) and moved_by[model.geom_bodyid[a]] != moved_by[model.geom_bodyid[b]]
 

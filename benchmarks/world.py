@@ -23,8 +23,11 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 from markdown_table import titled_table
+from planning import stopping_at, touching
+from planning_peers import ompl_planner, roboplan_planner
 
 import armctl
+from armctl.model.collision.checkers import collision_checker
 
 JUDGE_STEP_S = 1e-4
 SPACINGS_M = (0.005, 0.010, 0.025)
@@ -36,13 +39,14 @@ SWAPPED_POINTS = 100_000
 CHANGES = 10_000
 STICK_MOVES = 200
 PLANS = 100
+PEER_PLANS = 40
 STICK = armctl.Cylinder(0.01, 0.3)
 T_TIP_STICK = armctl.Pose([0.0, 0.0, 0.16])
 
 
 def main() -> None:
     parts = {"problems": on_problems, "planning": on_planning, "chunks": on_chunks, "changes": on_changes}
-    parts |= {"many": on_many_bodies, "stick": on_stick}
+    parts |= {"peers": beside_peers, "many": on_many_bodies, "stick": on_stick}
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--problems", type=Path, help="a file of problems for the Panda")
     parser.add_argument("--every", type=int, default=1, help="take every K-th problem")
@@ -299,6 +303,46 @@ def on_planning(args: argparse.Namespace) -> str:
         rows.append([name, f"{len(times)} of {PLANS}", *(f"{np.percentile(times, p):.1f}" for p in (50, 95)), f"{share:.2f}"])
     header = ["world", "solved", "median, ms", "95 %, ms", "time, relative to bodies"]
     return titled_table(f"Motions around the same furniture as bodies and as {MANY_POINTS:,} points, Panda", header, rows)
+
+
+def beside_peers(args: argparse.Namespace) -> str:
+    """Paths among the same points by armctl, roboplan and OMPL, by turns, and how many of them armctl can prove free."""
+    arm = without_floor(armctl.load("panda"))
+    world = cloud_of(MANY_POINTS)
+    cloud = world["cloud"].shape
+    checker = collision_checker(arm, world=world)
+    left_out = touching(arm, mujoco.MjData(arm.model), arm.home)
+    planners = {
+        "armctl": partial(armctl.move_free, arm, world=world),
+        "roboplan": roboplan_planner(arm, left_out, (cloud.points, math.sqrt(2.0) * cloud.radius)),
+        "OMPL": ompl_planner(arm, lambda q: checker.hit(q) < 0),
+    }
+    pairs = free_pairs(arm, world, PEER_PLANS)
+    rows = []
+    for name, plan in planners.items():
+        if plan is None:
+            rows.append([name, "not installed", *[""] * 3])
+            continue
+        plan(*pairs[0])  # loads what is needed, once
+        times = []
+        free = 0
+        for start, goal in pairs:
+            found: list[armctl.JointTrajectory | np.ndarray | None] = []
+            with contextlib.suppress(armctl.PlanError):
+                seconds = cpu_time(lambda plan=plan, ends=(start, goal), found=found: found.append(plan(*ends)))
+            if not found or found[0] is None:
+                continue
+            times.append(1e3 * seconds)
+            motion = stopping_at(arm, found[0]) if isinstance(found[0], np.ndarray) else found[0]
+            free += armctl.check_clearance(arm, motion, world=world).ok
+        rows.append([name, f"{len(times)} of {len(pairs)}", free, *(f"{np.percentile(times, p):.1f}" for p in (50, 95))])
+    header = ["planner", "solved", "proved free", "median, ms", "95 %, ms"]
+    legend = (
+        "armctl's times are those of a motion, timed and proved; the others' those of a path. roboplan has the points as cubes of "
+        "an octree, whose edge is the spacing, and checks every 0.05 rad; OMPL checks every 0.5 % with armctl's distances, called "
+        "through Python, so its times are not its best."
+    )
+    return f"{titled_table(f'Paths among {len(cloud):,} points beside peers, Panda', header, rows)}\n\n{legend}"
 
 
 def on_changes(args: argparse.Namespace) -> str:
