@@ -338,9 +338,9 @@ def beside_peers(args: argparse.Namespace) -> str:
         rows.append([name, f"{len(times)} of {len(pairs)}", free, *(f"{np.percentile(times, p):.1f}" for p in (50, 95))])
     header = ["planner", "solved", "proved free", "median, ms", "95 %, ms"]
     legend = (
-        "armctl's times are those of a motion, timed and proved; the others' those of a path. roboplan has the points as cubes of "
-        "an octree, whose edge is the spacing, and checks every 0.05 rad; OMPL checks every 0.5 % with armctl's distances, called "
-        "through Python, so its times are not its best."
+        "armctl's times are those of a motion, timed and proved; the others' those of a path. roboplan has the points as cubes "
+        "of an octree, whose edge is the spacing, and checks every 0.05 rad; OMPL checks every 0.5 % with armctl's distances, "
+        "called through Python, so its times are not its best."
     )
     return f"{titled_table(f'Paths among {len(cloud):,} points beside peers, Panda', header, rows)}\n\n{legend}"
 
