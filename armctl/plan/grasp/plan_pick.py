@@ -14,14 +14,16 @@ from armctl.core.validation import Array, IntArray
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checker import CollisionChecker
 from armctl.model.gripper.grip_frames import GripFrames
-from armctl.plan.grasp.attempts import Failures, ProvedMotion, Ways, line, longest_line
+from armctl.plan.grasp.attempts import Failures, ProvedMotion, Ways, line, longest_line, moved
 from armctl.plan.grasp.candidates import FINGER_GAP_M, candidates
 from armctl.plan.grasp.configurations import Configurations, Reached
 from armctl.plan.grasp.handling_scene import SUPPORT_GAP_M, HandlingScene
+from armctl.plan.ik.solve import solve_ik
 from armctl.plan.planner.free_space import FreeSpace
 from armctl.plan.planner.move_free import move_free_with
 
 _MAX_POSES = 1000  # that are tried
+_RAISED_M = 5e-3  # by which a body is raised to tell what it stands on from what it stands beside
 _NARROW_GAP_M = 0.012  # on either side of the body, of a gripper that opens no farther among other things
 
 
@@ -184,7 +186,7 @@ class _PlaceAttempt(NamedTuple):
         arm = scene.loaded_arm(self.held_at.T_tip_body)
         tip = reached.tip
         pose = tip @ self.held_at.T_tip_body
-        support = self._support(reached.q)
+        support = self._support(reached.q, tip)
         if support is None:
             return None
         held = scene.guarded(self.carried, support, carried=True)
@@ -206,11 +208,19 @@ class _PlaceAttempt(NamedTuple):
             return None
         return PlacePlan(wanted, retreat[0], to_place, lower, retreat[1])
 
-    def _support(self, q: Array) -> IntArray | None:
-        """What the body may touch at its place: what it is near to there, and not deep inside; None if it is."""
+    def _support(self, q: Array, tip: Pose) -> IntArray | None:
+        """What the body may touch at its place: what it is near to there, and leaves when it is raised a little.
+
+        None if it is deep inside of something, or beside something: that is as near when the body is raised.
+        """
+        above = solve_ik(self.scene.arm, moved(tip, _RAISED_M * self.up), q)
+        if not above.ok:
+            self.failures.add_line(above.reason)
+            return None
         support = self.scene.near_body(self.carried, q, SUPPORT_GAP_M)
+        beside = self.scene.near_body(self.carried, above.q, SUPPORT_GAP_M)
         for pair in support.tolist():
-            if self.carried.depth(q, pair) > SUPPORT_GAP_M:
+            if pair in beside or self.carried.depth(q, pair) > SUPPORT_GAP_M:
                 self.failures.add_contact(self.carried, pair)
                 return None
         return support

@@ -81,6 +81,18 @@ def test_a_body_is_put_into_a_region_and_a_pose(gantry: armctl.Arm):
     assert angle < 0.03
 
 
+@pytest.mark.parametrize(("gap", "is_free"), [(5e-4, False), (3e-3, True)])
+def test_a_body_is_put_on_what_it_touches_but_not_against_it(gantry: armctl.Arm, gap: float, is_free: bool):
+    sim = armctl.Simulation(gantry)
+    assert sim.pick("brick")
+    post_side = 0.3 - 0.02
+    placed = sim.place("brick", armctl.Pose([post_side - 0.05 - gap, -0.3, TOP + 0.025]))
+    assert placed.ok == is_free, placed.reason
+    if not is_free:
+        assert "brick touches post" in placed.reason
+        assert sim.gripper.held == "brick"
+
+
 def test_a_carried_body_is_a_payload_of_plans_and_a_part_of_proofs(gantry: armctl.Arm):
     sim = armctl.Simulation(gantry)
     assert sim.pick("brick")

@@ -51,9 +51,12 @@ class Timing(NamedTuple):
         s1 = self.spline(u, 1)  # type: ignore[operator]
         s2 = self.spline(u, 2)  # type: ignore[operator]
         s3 = self.spline(u, 3)  # type: ignore[operator]
-        s[0] = 0.0  # the spline meets its ends to rounding only
-        s1[[0, -1]] = 0.0
-        s2[[0, -1]] = 0.0
+        # The spline meets its ends to rounding only.
+        is_start = u <= 0.0
+        is_end = is_start | (u >= self.h * self.intervals)
+        s[is_start] = 0.0
+        s1[is_end] = 0.0
+        s2[is_end] = 0.0
         return s, s1, s2, s3
 
     def times_at(self, lengths: Array) -> Array:

@@ -206,8 +206,8 @@ class _Sampled(NamedTuple):
     q: Array  # (N, n + 1)
     q1: Array  # (N, n + 1) first derivative
     q2: Array  # (N, n + 1) second
-    q3_after: Array  # (N - 1, n + 1) third, at the start of each piece
-    q3_before: Array  # (N - 1, n + 1) third, at the end of each piece
+    q3_after: Array  # (N - 1, n + 1) third, just after the start of each piece
+    q3_before: Array  # (N - 1, n + 1) third, just before the end of each piece
     b_max: Array  # (N,) greatest square of the path speed
     torques: TorqueRows | None  # bounds on the torques, if there are any
 
@@ -257,15 +257,18 @@ class _TimingProblem:
         self._last: Array | None = None  # the last solution, to tighten from
 
     def sampled(self, places: _Places) -> _Sampled:
-        q, q1, q2, q3 = self._with_length(places.timing, places.nodes)
-        # The third derivative jumps at knots: the value just before a node belongs to the piece that ends there.
-        q3_before = self._with_length(places.timing, np.nextafter(places.nodes[1:], 0.0))[3]
+        nodes = places.nodes
+        q, q1, q2, _ = self._with_length(places.timing, nodes)
+        # The third derivative jumps at knots, also at those that come too soon after another one to be nodes.
+        inside = np.minimum(2.0 * _MIN_NODE_DISTANCE_S, 0.5 * np.diff(nodes))
+        q3_after = self._with_length(places.timing, nodes[:-1] + inside)[3]
+        q3_before = self._with_length(places.timing, nodes[1:] - inside)[3]
         with np.errstate(divide="ignore"):
             b_max = (self._fastest(q[:, :-1], q1[:, :-1]) / np.abs(q1[:, :-1])).min(axis=1) ** 2
             if self._caps is not None:
                 b_max = np.minimum(b_max, (self._caps.at(q[:, -1]) / np.abs(q1[:, -1])) ** 2)
         torques = None if self.torques is None else self.torques.rows(q[:, -1], q[:, :-1], q1[:, :-1], q2[:, :-1])
-        return _Sampled(places, q, q1, q2, q3[:-1], q3_before, b_max, torques)
+        return _Sampled(places, q, q1, q2, q3_after, q3_before, b_max, torques)
 
     def _fastest(self, q: Array, q1: Array) -> Array:
         """The greatest speeds of the joints at positions, (N, n), in the direction of the path. Raises LimitError."""
