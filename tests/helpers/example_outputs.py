@@ -10,9 +10,10 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # Dask, JAX and PyTorch start threads, after which other tests of the process could not fork.
 APART = [path for path in EXAMPLES if re.search("dask|jax|stable_baselines3", path.read_text(encoding="utf-8"))]
 
-# Training and rounding in single precision have other numbers on another processor: the words of these must agree, and the
-# numbers that a pattern finds are within bounds.
+# Training, sampled pushes and rounding in single precision have other numbers on another processor: the words of these must
+# agree, and the numbers that a pattern finds are within bounds.
 BOUNDS = {
+    "76_push_a_box": (r"([\d.]+) mm", 0.0, 10.0),
     "91_ppo_learns_to_reach": (r"([\d.]+)%", 95.0, 100.0),
     "94_computed_torque_in_mjx": (r"at most (\S+) mrad", 0.0, 0.01),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,39 +37,73 @@ def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
     return f"{second} is {1e3 * depth:.1f} mm inside {first}"
 
 
-def free_goals(
-    checker: CollisionChecker, keep: KeptRegion | None, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """The free configurations of a goal, nearest to the start first, and the freest of them. Raises PlanError."""
-    searches = [
-        _search_for(arm, start, candidate, rng, lambda q: checker.nearest(q)[1] > 0.0, keep)
-        for candidate in _goal_list(arm, goal)
-    ]
-    found: list[Array] = []
-    distances: list[float] = []
-    refusals: list[str] = []
-    # One goal of a list is enough: those that are hard to reach are searched further only if all of them are.
-    for tries in (_IK_TRIES + 1, _MAX_IK_TRIES + 2):
-        refusals.clear()
-        for search in searches:
-            search.extend(tries)
+class FreeConfigurations(NamedTuple):
+    """Free configurations of a goal."""
+
+    q: Array  # (g, n) rad, the nearest to the start first
+    freest: Array  # (n,) rad
+
+
+class FreeGoals:
+    """The free configurations of a goal, which are looked for in stages."""
+
+    def __init__(
+        self,
+        checker: CollisionChecker,
+        keep: KeptRegion | None,
+        arm: Arm,
+        start: Array,
+        goal: FreeGoal,
+        rng: np.random.Generator,
+    ):
+        self._checker = checker
+        self._keep = keep
+        self._start = start
+        self._searches = [
+            _search_for(arm, start, candidate, rng, lambda q: checker.nearest(q)[1] > 0.0, keep)
+            for candidate in _goal_list(arm, goal)
+        ]
+        self._count = 0
+
+    def first(self) -> FreeConfigurations:
+        """Some of them. Raises PlanError if there is none."""
+        found, refusal = self._found(_IK_TRIES + 1, 1)
+        if found is None:
+            # One goal of a list is enough: those that are hard to reach are searched further only if all of them are.
+            found, refusal = self._found(_MAX_IK_TRIES + 2, 1)
+        if found is None:
+            raise PlanError(refusal)
+        return found
+
+    def more(self) -> FreeConfigurations | None:
+        """Those and further ones, where no path leads to the first; None if there are no others."""
+        before = self._count
+        found, _ = self._found(_MAX_IK_TRIES + 2, MAX_REGION_ROOTS)
+        return found if self._count > before else None
+
+    def _found(self, tries: int, enough: int) -> tuple[FreeConfigurations | None, str]:
+        """What is free after so many starts, or as soon as so many are; or why nothing is."""
+        found: list[Array] = []
+        distances: list[float] = []
+        refusals: list[str] = []
+        for search in self._searches:
+            search.extend(tries, enough)
             refusals += [search.refusal] if search.refusal else []
             for q in search.found:
-                if keep is not None and (why := _why_not_kept(keep, q)):
+                if self._keep is not None and (why := _why_not_kept(self._keep, q)):
                     refusals.append(f"goal: {why}")
                     continue
-                pair, distance = checker.nearest(q)
+                pair, distance = self._checker.nearest(q)
                 if distance > 0.0:
                     found.append(q)
                     distances.append(distance)
                 else:
-                    refusals.append(f"the goal cannot be reached without contact: {overlap_in_words(checker, q, pair)}")
-        if found:
-            break
-    if not found:
-        raise PlanError(refusals[0])
-    order = np.argsort([np.linalg.norm(q - start) for q in found], kind="stable")
-    return np.array(found)[order], found[int(np.argmax(distances))]
+                    refusals.append(f"the goal cannot be reached without contact: {overlap_in_words(self._checker, q, pair)}")
+        self._count = len(found)
+        if not found:
+            return None, refusals[0] if refusals else ""
+        order = np.argsort([np.linalg.norm(q - self._start) for q in found], kind="stable")
+        return FreeConfigurations(np.array(found)[order], found[int(np.argmax(distances))]), ""
 
 
 def _goal_list(arm: Arm, goal: FreeGoal) -> Sequence[Pose | Target | Region | Array | TipTargets]:
@@ -142,11 +176,11 @@ class RegionGoalSearch:
         self._is_free = is_free
         self._rounds = 0
 
-    def extend(self, most: int) -> None:
-        """Looks for more: one round if `most` is few starts, else round after round until one has found a free one."""
+    def extend(self, most: int, enough: int) -> None:
+        """Looks for more: one round if `most` is few starts, else round after round until so many are free as are enough."""
         last = 1 if most <= _IK_TRIES + 1 else len(STARTS)
         free = sum(map(self._is_free, self.found))
-        while not free and self._rounds < last:
+        while free < enough and self._rounds < last:
             solutions = self._search.round(self._rounds)
             self._rounds += 1
             for q in solutions.q[solutions.solved]:
@@ -200,10 +234,10 @@ class GoalSearch:
         closure = arm.joint_map.closure
         self._starts += [start, arm.home, *(drawn if closure is None else closure.inward(arm.home, drawn))]
 
-    def extend(self, most: int) -> None:
-        """Looks for more, from at most so many starts in all; from fewer if some are free already."""
+    def extend(self, most: int, enough: int) -> None:
+        """Looks for more, from at most so many starts in all; from fewer if so many are free already."""
         while not self.refusal and self._tries < min(most, len(self._starts)):
-            if self._free == MAX_ROOTS or (self._free and self._tries > _IK_TRIES):
+            if self._free == MAX_ROOTS or (self._free >= enough and self._tries > _IK_TRIES):
                 break
             result = solve_ik(self._arm, self._goal, self._starts[self._tries], free_axis=self._free_axis)
             self._tries += 1

@@ -41,7 +41,7 @@ from armctl.plan.motion.moving_start import begun_moving, begun_moving_lasting, 
 from armctl.plan.motion.torque_limits import within_torque
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.planner.free_space import CLEARANCE_M, FreeSpace, spaces_between
-from armctl.plan.planner.goals import FreeGoal, free_goals, overlap_in_words
+from armctl.plan.planner.goals import FreeConfigurations, FreeGoal, FreeGoals, overlap_in_words
 from armctl.plan.planner.region_motion import motion_in_region
 
 _REPAIRS = 14  # points that are added where a smooth motion leaves the free path
@@ -225,16 +225,31 @@ def move_free_with(
     if isinstance(goal, Mapping):
         held = resting_joints(arm, goal).held
         space = space._replace(held=held if held.any() else None)
-    goals, freest = free_goals(checker, space.keep, arm, start, goal, rng)
+    goals = FreeGoals(checker, space.keep, arm, start, goal, rng)
+    found: FreeConfigurations | None = goals.first()
     refusal = ""
-    for path_space, motion_space in spaces_between(space, [start, freest]):
-        for configuration in goals:
+    while found is not None:
+        motion = _to_any(space, arm, start, found, rng)
+        if not isinstance(motion, str):
+            return motion
+        refusal = motion
+        found = goals.more()
+    raise PlanError(refusal)
+
+
+def _to_any(
+    space: FreeSpace, arm: Arm, start: Array, goals: FreeConfigurations, rng: np.random.Generator
+) -> JointTrajectory | str:
+    """A motion to one of some free configurations; a sentence if none was found."""
+    refusal = ""
+    for path_space, motion_space in spaces_between(space, [start, goals.freest]):
+        for configuration in goals.q:
             if not motion_space.line_is_free(start, configuration):
                 continue
             motion = move_j(arm, start, configuration)
             if motion_space.motion_hit(motion) is None:
                 return motion
-        found = find_path(path_space, start, goals, arm.limits, rng)
+        found = find_path(path_space, start, goals.q, arm.limits, rng)
         if found is None:
             where = "" if space.keep is None or space.keep.axis is not None else " in the region"
             refusal = (
@@ -246,7 +261,7 @@ def move_free_with(
         if timed is not None:
             return timed
         refusal = "the path is free, but no motion along it could be proved; try another seed or a smaller clearance"
-    raise PlanError(refusal)
+    return refusal
 
 
 def _checker(

@@ -15,7 +15,7 @@ import armctl
 from armctl.core.target import Target
 from armctl.model.collision.checkers import collision_checker
 from armctl.plan.planner.free_space import CLEARANCE_M
-from armctl.plan.planner.goals import GoalSearch, free_goals
+from armctl.plan.planner.goals import FreeGoals, GoalSearch
 
 WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
 START = np.array([-0.8, 1.0, 0.4, 0.0, 0.3, 0.0])
@@ -333,7 +333,7 @@ def test_more_solutions_of_a_point_are_looked_for_as_long_as_none_is_free(arm):
         return len(tried) > 30
 
     search = GoalSearch(arm, START, point, np.random.default_rng(0), is_free)
-    search.extend(500)
+    search.extend(500, 1)
     assert len(search.found) > 30
     assert not search.refusal
 
@@ -344,7 +344,7 @@ def test_what_was_found_from_few_starts_is_extended_from_more(arm):
     def searched(*tries: int) -> np.ndarray:
         search = GoalSearch(arm, START, point, np.random.default_rng(0), lambda q: False)
         for most in tries:
-            search.extend(most)
+            search.extend(most, 1)
         return np.array(search.found)
 
     whole = searched(60)
@@ -360,9 +360,26 @@ def test_a_goal_that_is_blocked_costs_little_beside_one_that_is_free(tmp_path):
     drawn = arm.limits.random(arm.home, 400, np.random.default_rng(2))
     free = next(q for q in drawn if checker.hit(q, 0.02) < 0)
     inside = arm.fk(next(q for q in drawn if checker.nearest(q)[1] <= 0.0))
-    alone = free_goals(checker, None, arm, free, arm.fk(free), np.random.default_rng(0))[0]
-    both = free_goals(checker, None, arm, free, [arm.fk(free), inside], np.random.default_rng(0))[0]
+    alone = FreeGoals(checker, None, arm, free, arm.fk(free), np.random.default_rng(0)).first().q
+    both = FreeGoals(checker, None, arm, free, [arm.fk(free), inside], np.random.default_rng(0)).first().q
     assert {q.tobytes() for q in alone} <= {q.tobytes() for q in both}
+
+
+def test_where_no_path_leads_to_the_first_goals_there_are_more_unless_the_goal_is_one_configuration(tmp_path):
+    arm = arm_among(tmp_path)
+    checker = collision_checker(arm)
+    free = next(q for q in arm.limits.random(arm.home, 400, np.random.default_rng(2)) if checker.hit(q, 0.02) < 0)
+    anywhere = armctl.Region(arm.fk(free), [[-0.1, 0.1]] * 3 + [[-np.pi, np.pi], [-1.0, 1.0], [-np.pi, np.pi]])
+    goals = FreeGoals(checker, None, arm, free, [arm.fk(free), anywhere], np.random.default_rng(0))
+    first = goals.first().q
+    more = goals.more()
+    assert more is not None
+    assert {q.tobytes() for q in first} < {q.tobytes() for q in more.q}
+    assert all(checker.hit(q) < 0 for q in more.q)
+    assert goals.more() is None
+    single = FreeGoals(checker, None, arm, free, free, np.random.default_rng(0))
+    assert len(single.first().q) == 1
+    assert single.more() is None
 
 
 def test_no_simulated_move_among_things_touches_anything(tmp_path):
