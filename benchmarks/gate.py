@@ -1,6 +1,6 @@
 """The gate: does it let pass what is free, and stop what is not? `python benchmarks/gate.py`.
 
-    python benchmarks/gate.py [--arms panda ur5e xarm7] [--motions 334] [--errors 334] [--processes 2]
+    python benchmarks/gate.py [--arms panda ur5e xarm7] [--motions 334] [--errors 334] [--only TABLE ...] [--processes 2]
 
 Motions of an expert, `move_free` among a wall, a ball and a post, are emitted as a policy does, chunks of ten targets at 30 Hz
 every 0.2 s, from where the arm is on its way; with a gate, and without one by a `Stream`. A motion was stopped if the gate
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import copy
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -342,6 +343,31 @@ def fastest_stop(arm: armctl.Arm, state: armctl.Setpoint) -> armctl.JointTraject
     return armctl.JointTrajectory(*stream.pieces, arm.joint_names, arm.limits)
 
 
+TABLES: dict[str, tuple[Callable[[str, int], list], str, list[str]]] = {
+    "motions": (
+        experts,
+        "Motions of the experts",
+        ["arm", "motions", "over without a gate", "over with the gate", "stopped", "touched", "limits broken"],
+    ),
+    "errors": (errors, "Injected errors", ["arm", "error", "chunks", "refused", "touched", "limits broken"]),
+    "nearest": (
+        nearest,
+        "The nearest safe configuration, and the nearest of 20 000 random ones",
+        ["arm", "configurations", "unsafe", "median factor", "largest factor"],
+    ),
+    "appearances": (
+        appearances,
+        "A ball appears during a motion",
+        ["arm", "motions", "went on", "touched", "touched though a stop was free"],
+    ),
+}
+
+
+def _rows(of_arms: list[list]) -> list[list]:
+    """The rows of a table, of which each arm has one or several."""
+    return [row for each in of_arms for row in (each if isinstance(each[0], list) else [each])]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arms", nargs="+", default=["panda", "ur5e", "xarm7"])
@@ -349,36 +375,17 @@ def main() -> None:
     parser.add_argument("--errors", type=int, default=334)
     parser.add_argument("--appearances", type=int, default=67)
     parser.add_argument("--nearest", type=int, default=40)
+    parser.add_argument("--only", nargs="+", choices=TABLES, default=list(TABLES))
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     with ProcessPoolExecutor(arguments.processes, get_context("spawn")) as pool:
-        of_experts = [pool.submit(experts, name, arguments.motions) for name in arguments.arms]
-        of_errors = [pool.submit(errors, name, arguments.errors) for name in arguments.arms]
-        of_nearest = [pool.submit(nearest, name, arguments.nearest) for name in arguments.arms]
-        of_appearances = [pool.submit(appearances, name, arguments.appearances) for name in arguments.arms]
-        tables = [
-            titled_table(
-                "Motions of the experts",
-                ["arm", "motions", "over without a gate", "over with the gate", "stopped", "touched", "limits broken"],
-                [each.result() for each in of_experts],
-            ),
-            titled_table(
-                "Injected errors",
-                ["arm", "error", "chunks", "refused", "touched", "limits broken"],
-                [row for each in of_errors for row in each.result()],
-            ),
-            titled_table(
-                "The nearest safe configuration, and the nearest of 20 000 random ones",
-                ["arm", "configurations", "unsafe", "median factor", "largest factor"],
-                [each.result() for each in of_nearest],
-            ),
-            titled_table(
-                "A ball appears during a motion",
-                ["arm", "motions", "went on", "touched", "touched though a stop was free"],
-                [each.result() for each in of_appearances],
-            ),
-        ]
+        pending = {
+            table: [pool.submit(measure, name, getattr(arguments, table)) for name in arguments.arms]
+            for table, (measure, *_) in TABLES.items()
+            if table in arguments.only
+        }
+        tables = [titled_table(*TABLES[table][1:], _rows([each.result() for each in rows])) for table, rows in pending.items()]
     text = "\n\n".join(tables) + "\n"
     print(text)
     arguments.out.write_text(text, encoding="utf-8")
