@@ -18,6 +18,9 @@ from armctl.run.links.torque_interface import TorqueInterface
 
 DT = 1e-3
 REAL = armctl.Plant(continuous=True, timestep=DT)
+FRICTION = armctl.Plant(
+    continuous=True, timestep=DT, mass_scale=1.1, coulomb_friction=0.1, viscous_friction=0.1, encoder_noise=2e-6
+)
 GOAL = [0.5, 0.3, -1.0]
 RATE = 200.0  # N m/s
 LAWS = ["pd-gravity", "pd-feedforward", "computed-torque", "computed-torque-observer", "impedance"]
@@ -259,6 +262,20 @@ def test_lost_ticks_leave_the_memory_of_a_law_alone():
     assert plain.log is not None
     assert result.log is not None
     assert np.abs(result.log.q - result.log.q_ref).max() < 1e-2
+
+
+@pytest.mark.parametrize("controller", ["computed-torque", "computed-torque-observer"])
+def test_after_a_lost_tick_the_torques_do_not_jump(controller: str):
+    """A law that estimates speeds took an arm that moved for two ticks for twice as fast."""
+    steps = []
+    for lost in ({}, {row: 1 + row // 100 % 3 for row in range(50, 2000, 25)}):
+        robot = robot_of(controller, FRICTION, torque=given(), lost=lost)
+        sent = sent_to(robot)
+        result = robot.move_j(GOAL)
+        assert result, result.reason
+        assert bool(robot.lost_ticks) == bool(lost)
+        steps.append(float(np.abs(np.diff(sent, axis=0)).max()))
+    assert steps[1] < 3.0 * steps[0]
 
 
 @pytest.mark.parametrize(
