@@ -829,6 +829,11 @@ class Law:
         `wrench` (6,) is not read by a law that does not need it.
         """
 
+    def applied(self, tau: numpy.ndarray) -> None:
+        """
+        Tells that the motors got torques (n,) N m that are not those of the last call of `torque`.
+        """
+
     @property
     def memory(self) -> NDArray[numpy.float64]:
         """

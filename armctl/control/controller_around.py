@@ -63,7 +63,7 @@ class ControllerAround(CompiledController, ControllerWrapper):
     @property
     def traits(self) -> Traits:  # type: ignore[override]
         """Those of the controller, under the name of this one."""
-        return traits(self.controller)._replace(name=self.name)
+        return traits(self.controller)._replace(name=self.name, applied=None)
 
     @property
     def is_compiled(self) -> bool:

@@ -79,6 +79,8 @@ class Traits(NamedTuple):
         needs_deflection: Whether it reads `State.deflection`.
         foresee: Takes the reference of the coming ticks before each call of `torque`; None if the controller does not plan.
         yields: Whether the arm leaves its reference by design, as under impedance control.
+        applied: Takes the torques (n,) N m that the motors got, where they are not those of the last call of `torque`, such as
+            within a robot's limit of their rate; None if the controller does not care.
     """
 
     name: str
@@ -86,6 +88,7 @@ class Traits(NamedTuple):
     needs_deflection: bool = False
     foresee: Callable[[TickReference], None] | None = None
     yields: bool = False
+    applied: Callable[[Array], None] | None = None
 
 
 class ControllerWrapper:
@@ -108,6 +111,7 @@ def traits(controller: object) -> Traits:
         needs_deflection=getattr(controller, "needs_deflection", False),
         foresee=getattr(controller, "foresee", None),
         yields=getattr(controller, "yields", False),
+        applied=getattr(controller, "applied", None),
     )
 
 
@@ -226,6 +230,11 @@ class CompiledController(ABC):
     def memory(self) -> Array:
         """What the law keeps from tick to tick, which may be written; empty before the first tick."""
         return np.zeros(0) if self._law is None else self._law.memory
+
+    def applied(self, tau: Array) -> None:
+        """Takes the torques (n,) N m that the motors got, where they are not those of the last call of `torque`."""
+        if self._law is not None:
+            self._law.applied(tau)
 
     def fresh(self) -> Self:
         """The same law with a memory of its own, for a run at the same time."""

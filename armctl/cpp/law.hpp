@@ -43,6 +43,10 @@ public:
     // The torque for the coming control period, (n,) N m. It ends for any numbers, throws nothing and allocates nothing.
     virtual void torque(const State& state, const Setpoint& setpoint, Result tau) noexcept = 0;
 
+    // Tells that the motors got torques (n,) N m that are not those of the last call of `torque`: limits of their rate, or a tick
+    // that was lost.
+    virtual void applied(Vector /*tau*/) noexcept {}
+
     // What the law keeps from tick to tick, such as integrals: 0 at the first tick of a run. Scratch is not part of it.
     Result memory() { return memory_; }
     size_t memory_size() const { return memory_.size(); }

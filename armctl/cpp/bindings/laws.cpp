@@ -71,6 +71,9 @@ void bind_law(nb::module_& module) {
             "`reference` has the (5, n) rows q, v, a, v_tick, a_tick of a setpoint; k rows each of q, v_tick and a_tick of the ticks\n"
             "from this one on may follow, if they are known.\n"
             "`wrench` (6,) is not read by a law that does not need it.")
+        .def(
+            "applied", [](Law& self, const In& tau) { self.applied(tau.vector(self.joints(), "tau")); }, "tau"_a,
+            "Tells that the motors got torques (n,) N m that are not those of the last call of `torque`.")
         .def_prop_ro("memory", &shared<Law, &Law::memory>,
                      "What the law keeps from tick to tick; an array that shares the memory of the law.")
         .def("reset", &Law::reset, "Begins a new run.")

@@ -90,6 +90,11 @@ public:
         observer_.cancel(observed, tau);
     }
 
+    void applied(Vector tau) noexcept override {
+        DisturbanceObserver::Memory observed(memory(), joints());
+        observer_.take_applied(tau, observed);
+    }
+
     // The estimated disturbance, (n,) N m.
     Result disturbance() { return DisturbanceObserver::Memory(memory(), joints()).disturbance; }
 

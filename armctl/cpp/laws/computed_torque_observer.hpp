@@ -93,6 +93,17 @@ public:
         for (size_t i = 0; i < tau.size(); ++i) { memory.motion.acceleration[i] += lost_[i]; }
     }
 
+    // Takes the torque that the motors got instead of the last one: what a robot's limits cut off is no disturbance either.
+    void take_applied(Vector tau, Memory& memory) {
+        for (size_t i = 0; i < tau.size(); ++i) {
+            const double applied = tau[i] - known[i];
+            lost_[i] = applied - memory.last_torque[i];
+            memory.last_torque[i] = applied;
+        }
+        dynamics.accelerate(lost_);
+        for (size_t i = 0; i < tau.size(); ++i) { memory.motion.acceleration[i] += lost_[i]; }
+    }
+
     Dynamics dynamics;
     Numbers needed;  // N m, that the model needs for the motion since the last tick
     Numbers known;   // N m, that is known besides the observer's model, such as dry friction
@@ -113,6 +124,11 @@ public:
         observer_.observe(state, parts);
         observer_.control(setpoint, parts, tau);
         observer_.cancel(parts, tau);
+    }
+
+    void applied(Vector tau) noexcept override {
+        DisturbanceObserver::Memory parts(memory(), joints());
+        observer_.take_applied(tau, parts);
     }
 
     // The estimated disturbance, (n,) N m.

@@ -76,6 +76,7 @@ class TorqueLoop:
         self._law = law
         self._torque = law.controller.torque
         self._name = traits(law.controller).name
+        self._applied = traits(law.controller).applied
         self._needs_wrench = traits(law.controller).needs_wrench
         self._force = ExternalForce(law.arm)
         self._dt = dt
@@ -83,6 +84,7 @@ class TorqueLoop:
         self._fade_ticks = max(1, round(_START_FADE_S / dt))
         self._is_first = True  # whether the stream has not begun
         self._last: _Tick | None = None  # that the law has seen
+        self._wanted: ArrayLike = ()  # (n,) N m, that the law gave in its last call
         self._ticks = 0  # of the law in the stream
         self._calls = 0  # of the law, whose clock knows no lost ticks, nor streams
         self._offset = np.zeros(law.arm.n)  # N m, the torque before the stream minus that of the law
@@ -119,7 +121,9 @@ class TorqueLoop:
         if not self.fault:
             total = self._of_law(reading, setpoint, ticks)
             if not self.fault:
-                return self._bounds.to_send(total, reading)
+                sent = self._bounds.to_send(total, reading)
+                self._tell_applied()
+                return sent
         return self._of_damper(reading)
 
     def _of_law(self, reading: Reading, setpoint: Setpoint, ticks: int) -> Array:
@@ -133,6 +137,7 @@ class TorqueLoop:
                 # A law that sees two ticks as one takes the arm for twice as fast.
                 for lost in range(1, ticks):
                     self._called(self._last.towards(now, lost / ticks), wrench)
+                    self._tell_applied()
             total = np.asarray(self._called(now, wrench), dtype=np.float64)
         except Exception as error:  # a law may be a user's
             self.fault = f"the controller {self._name:.80} failed: {type(error).__name__}: {error}"
@@ -152,7 +157,13 @@ class TorqueLoop:
         """What the law gives for a tick."""
         state = State(tick.q, tick.v, self._calls * self._dt, self._dt, True, wrench)
         self._calls += 1
-        return self._torque(state, tick.setpoint)
+        self._wanted = self._torque(state, tick.setpoint)
+        return self._wanted
+
+    def _tell_applied(self) -> None:
+        """Tells the law what torques the motors get, if they are not its own."""
+        if self._applied is not None and not np.array_equal(self._bounds.total, self._wanted):
+            self._applied(self._bounds.total)
 
     def _wrench(self, reading: Reading, ticks: int) -> Array:
         """(6,) N and N m, that of the environment on the tip by the torque sensors."""
