@@ -80,6 +80,26 @@ def test_the_observer_does_not_mistake_clipped_torque_for_a_disturbance(bundled)
     assert np.abs(controller.disturbance).max() < 1e-3 * clipped
 
 
+@pytest.mark.parametrize("law", [armctl.ComputedTorqueObserver, armctl.ComputedTorqueLearning])
+def test_torque_that_a_robot_cuts_off_is_no_disturbance_if_the_law_is_told(bundled, law):
+    """Motors that give the weight alone hold the arm, which the law wants elsewhere."""
+    q = np.array(bundled.home)
+    still = np.zeros(bundled.n)
+    weight = bundled.gravity(q)
+    estimated = []
+    for is_told in (False, True):
+        controller = law(bundled)
+        for tick in range(300):
+            state = armctl.State(q, still, 1e-3 * tick, 1e-3, True)
+            wanted = controller.torque(state, Setpoint(q + 0.1, still, still))
+            if is_told:
+                controller.applied(weight)
+        estimated.append(float(np.abs(controller.disturbance).max()))
+        assert np.abs(wanted - weight).max() > 1.0
+    assert estimated[0] > 1.0
+    assert estimated[1] < 0.05 * estimated[0]  # that of damping at the reference, which the prediction of the motion leaves out
+
+
 @every_controller
 def test_the_same_run_gives_the_same_bits(bundled, name):
     controller = controller_by_name(name, bundled)

@@ -15,7 +15,7 @@ TESTS = Path(__file__).parents[1]
 WINGS = ("lab", "view", "envs", "cli")
 JUDGES = ("core", "model/arm", "plan/ik/test_solve_ik.py", "run/sim/test_moves.py", "run/sim/test_core_loop.py")
 # Files of studies, identification, and why a loop is unstable, which the top-level package asks `lab` for.
-OF_WINGS = "study or payload_at_a_tied or reason_of_a_failed_move"
+OF_WINGS = "study or payload_at_a_tied or reason_of_a_failed_move or does_not_know_loops"
 IMPORT_ALL = """
 import importlib, pkgutil, armctl
 names = [module.name for module in pkgutil.walk_packages(armctl.__path__, "armctl.") if not module.name.endswith("__main__")]
@@ -29,7 +29,8 @@ assert armctl.Simulation("robot_arm_3dof", "pd-gravity").move_to([0.3, 0.1, 0.3]
 @pytest.fixture
 def environment(tmp_path):
     """That of a process whose armctl has no wings."""
-    shutil.copytree(PACKAGE.parent / "models", tmp_path / "models")
+    for models in ("models", "examples/models"):
+        shutil.copytree(PACKAGE.parent / models, tmp_path / models)
     shutil.copytree(PACKAGE, tmp_path / "armctl", ignore=shutil.ignore_patterns("__pycache__", *WINGS))
     return os.environ | {"PYTHONPATH": str(tmp_path)}
 
