@@ -49,20 +49,19 @@ class LinkLaw:
     rest_speed: float
 
 
-class _Tick(NamedTuple):
+class _SeenTick(NamedTuple):
     """What a law sees in a tick."""
 
     q: Array  # (n,) rad
     v: Array  # (n,) rad/s
     setpoint: Setpoint
 
-    def towards(self, other: _Tick, share: float) -> _Tick:
+    def towards(self, other: _SeenTick, share: float) -> _SeenTick:
         """The tick between this one and another, in place of one that was lost."""
-        q, v, *reference = (
-            a + share * (b - a)
-            for a, b in zip((self.q, self.v, *self.setpoint[:3]), (other.q, other.v, *other.setpoint[:3]), strict=True)
-        )
-        return _Tick(q, v, other.setpoint._replace(**dict(zip("qva", reference, strict=True))))
+        ours = np.array([self.q, self.v, *self.setpoint[:3]])
+        theirs = np.array([other.q, other.v, *other.setpoint[:3]])
+        q, v, q_ref, v_ref, a_ref = ours + share * (theirs - ours)
+        return _SeenTick(q, v, other.setpoint._replace(q=q_ref, v=v_ref, a=a_ref))
 
 
 class TorqueLoop:
@@ -83,7 +82,7 @@ class TorqueLoop:
         self._bounds = TorqueLimiter(law.arm, law.interface, dt)
         self._fade_ticks = max(1, round(_START_FADE_S / dt))
         self._is_first = True  # whether the stream has not begun
-        self._last: _Tick | None = None  # that the law has seen
+        self._last: _SeenTick | None = None  # that the law has seen
         self._wanted: ArrayLike = ()  # (n,) N m, that the law gave in its last call
         self._ticks = 0  # of the law in the stream
         self._calls = 0  # of the law, whose clock knows no lost ticks, nor streams
@@ -131,7 +130,7 @@ class TorqueLoop:
         if self.fault:
             return np.zeros(0)
         wrench = self._wrench(reading, ticks) if self._needs_wrench else None
-        now = _Tick(reading.q, reading.v, setpoint)
+        now = _SeenTick(reading.q, reading.v, setpoint)
         try:
             if self._last is not None and self._ticks:
                 # A law that sees two ticks as one takes the arm for twice as fast.
@@ -153,7 +152,7 @@ class TorqueLoop:
         self._ticks += 1
         return total
 
-    def _called(self, tick: _Tick, wrench: Array | None) -> ArrayLike:
+    def _called(self, tick: _SeenTick, wrench: Array | None) -> ArrayLike:
         """What the law gives for a tick."""
         state = State(tick.q, tick.v, self._calls * self._dt, self._dt, True, wrench)
         self._calls += 1
