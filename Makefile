@@ -79,6 +79,7 @@ $(VENV)/run.stamp: pyproject.toml
 build-core:
 	@$(BUILD_CORE)
 
+# Apart from armctl, because armctl is built without isolation, in which some of them cannot be built.
 install-dependencies:
 	@$(PYTHON) packaging/build_backend/requirements.py --run $(EXTRA) | $(BIN)/python -m pip install --quiet --no-compile -r /dev/stdin || { \
 	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
@@ -86,13 +87,15 @@ install-dependencies:
 $(VENV)/dev.stamp: $(VENV)/run.stamp
 	@grep -q dev $< || { \
 	  echo "installing what the tests need into $(VENV): once, 1 GB more, half a minute"; \
+	  $(MAKE) --no-print-directory install-dependencies EXTRA=dev && \
 	  $(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[dev]'; } || { \
 	  echo "pip could not install the tools that pyproject.toml names under dev; its reason is above."; exit 1; }
 	@touch $@
 
 $(VENV)/ci.stamp: $(VENV)/dev.stamp
 	@echo "installing what only make test-all needs into $(VENV): once, up to 6 GB, for PyTorch comes with CUDA; one to three minutes"
-	@$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[ci]' || { \
+	@$(MAKE) --no-print-directory install-dependencies EXTRA=ci && \
+	  $(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[ci]' || { \
 	  echo "pip could not install the packages that pyproject.toml names under ci; its reason is above."; exit 1; }
 	@touch $@
 
