@@ -47,7 +47,9 @@ def main() -> None:
     tables = on_cans(args.starts)
     if args.peer:
         tables.append(beside_peer(args.peer, args.starts))
-    tables.append(f"CPU times of whole calls; load average {os.getloadavg()[1]:.1f}.")
+    tables.append(
+        f"CPU times of whole calls, without the first one, which loads what is needed; load average {os.getloadavg()[1]:.1f}."
+    )
     text = "\n\n".join(tables) + "\n"
     args.out.parent.mkdir(exist_ok=True)
     args.out.write_text(text, encoding="utf-8")

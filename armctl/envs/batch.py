@@ -239,8 +239,8 @@ class Batch:
         goals = (as_array("achieved_goal", achieved), as_array("desired_goal", desired))
         for name, goal in zip(("achieved_goal", "desired_goal"), goals, strict=True):
             if goal.dtype.kind not in "fiu" or goal.shape[-1:] != self.goal.shape[-1:]:
-                expected = "three of each tip, (..., {}) m" if self.goal.shape[-1] > 3 else "(..., {}) m"
-                raise InputError(f"{name}: expected {expected.format(self.goal.shape[-1])}, got {shown(goal)}")
+                of_tips = "three of each tip, " if self.goal.shape[-1] > 3 else ""
+                raise InputError(f"{name}: expected {of_tips}(..., {self.goal.shape[-1]}) m, got {shown(goal)}")
         try:
             touched: Any = False
             if isinstance(info, Mapping):

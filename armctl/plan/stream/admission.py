@@ -269,7 +269,7 @@ class Admission:
             return None
         return stop if self._keeps_limits(stop) else None
 
-    def _nearest_stop(self) -> tuple[Pieces, bool]:
+    def _last_resort(self) -> tuple[Pieces, bool]:
         """The fastest stop or that on the path, whichever keeps the clearance, or else touches nothing; whether one does."""
         if not self._moves:
             return standing(self.start.q), rest_refusal(self._checker, self.start.q, 0.0) is None
@@ -311,7 +311,7 @@ class Admission:
         if pieces is None and self._running is not None and not self._planner.is_refused(self._running):
             pieces = self._running
         elif pieces is None:
-            pieces, proved = self._nearest_stop()
+            pieces, proved = self._last_resort()
         known = [self.start.q, np.asarray(end_state(pieces).q)]
         checker = self._checker
         clearance = self._required

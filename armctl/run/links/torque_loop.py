@@ -58,10 +58,14 @@ class _SeenTick(NamedTuple):
 
     def towards(self, other: _SeenTick, share: float) -> _SeenTick:
         """The tick between this one and another, in place of one that was lost."""
-        ours = np.array([self.q, self.v, *self.setpoint[:3]])
-        theirs = np.array([other.q, other.v, *other.setpoint[:3]])
-        q, v, q_ref, v_ref, a_ref = ours + share * (theirs - ours)
-        return _SeenTick(q, v, other.setpoint._replace(q=q_ref, v=v_ref, a=a_ref))
+        reference = (
+            None if a is None or b is None else a + share * (b - a) for a, b in zip(self.setpoint, other.setpoint, strict=True)
+        )
+        return _SeenTick(
+            q=self.q + share * (other.q - self.q),
+            v=self.v + share * (other.v - self.v),
+            setpoint=Setpoint(*reference),  # type: ignore[arg-type]
+        )
 
 
 class TorqueLoop:
@@ -161,8 +165,12 @@ class TorqueLoop:
 
     def _tell_applied(self) -> None:
         """Tells the law what torques the motors get, if they are not its own."""
-        if self._applied is not None and not np.array_equal(self._bounds.total, self._wanted):
+        if self._applied is None or np.array_equal(self._bounds.total, self._wanted):
+            return
+        try:
             self._applied(self._bounds.total)
+        except Exception as error:  # a law may be a user's
+            self.fault = f"the controller {self._name:.80} failed: {type(error).__name__}: {error}"
 
     def _wrench(self, reading: Reading, ticks: int) -> Array:
         """(6,) N and N m, that of the environment on the tip by the torque sensors."""

@@ -53,10 +53,10 @@ class Timing(NamedTuple):
         s3 = self.spline(u, 3)  # type: ignore[operator]
         # The spline meets its ends to rounding only.
         is_start = u <= 0.0
-        is_end = is_start | (u >= self.h * self.intervals)
+        is_at_rest = is_start | (u >= self.h * self.intervals)
         s[is_start] = 0.0
-        s1[is_end] = 0.0
-        s2[is_end] = 0.0
+        s1[is_at_rest] = 0.0
+        s2[is_at_rest] = 0.0
         return s, s1, s2, s3
 
     def times_at(self, lengths: Array) -> Array:
