@@ -10,13 +10,14 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, Self, TypeGuard, TypeVar, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.faces import face, gains_of, show_arguments
 from armctl.core.other_names import check_keywords
 from armctl.core.trajectory import Setpoint, TickReference
-from armctl.core.validation import Array, as_array, flag, instance, integer, number, shown
+from armctl.core.validation import Array, as_array, flag, instance, integer, number, shown, vector
 from armctl.model.arm.arm import Arm, check_arm
 
 WRENCH_SIZE = 6
@@ -231,10 +232,20 @@ class CompiledController(ABC):
         """What the law keeps from tick to tick, which may be written; empty before the first tick."""
         return np.zeros(0) if self._law is None else self._law.memory
 
-    def applied(self, tau: Array) -> None:
-        """Takes the torques (n,) N m that the motors got, where they are not those of the last call of `torque`."""
+    def applied(self, tau: ArrayLike) -> None:
+        """Takes the torques that the motors got, where they are not those of the last call of `torque`.
+
+        A law that estimates the motion expects what these torques do; without a call of `torque` before, nothing is done.
+
+        Args:
+            tau: (n,) N m.
+
+        Raises:
+            InputError: A wrong shape, or a number that is not finite.
+        """
+        torques = vector("tau", tau, self._n)
         if self._law is not None:
-            self._law.applied(tau)
+            self._law.applied(torques)
 
     def fresh(self) -> Self:
         """The same law with a memory of its own, for a run at the same time."""

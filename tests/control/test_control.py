@@ -100,6 +100,23 @@ def test_torque_that_a_robot_cuts_off_is_no_disturbance_if_the_law_is_told(bundl
     assert estimated[1] < 0.05 * estimated[0]  # that of damping at the reference, which the prediction of the motion leaves out
 
 
+def test_an_arm_that_a_robot_holds_back_is_not_expected_to_move_if_the_law_is_told(bundled):
+    q = np.array(bundled.home)
+    still = np.zeros(bundled.n)
+    wanted = Setpoint(q + 0.1, still, still)
+    first = armctl.ComputedTorque(bundled).torque(armctl.State(q, still, 0.0, 1e-3, True), wanted)
+    change = []
+    for is_told in (False, True):
+        controller = armctl.ComputedTorque(bundled)
+        for tick in range(300):
+            last = controller.torque(armctl.State(q, still, 1e-3 * tick, 1e-3, True), wanted)
+            if is_told:
+                controller.applied(bundled.gravity(q))
+        change.append(float(np.abs(last - first).max()))
+    assert change[0] > 1.0
+    assert change[1] < 0.05 * change[0]
+
+
 @every_controller
 def test_the_same_run_gives_the_same_bits(bundled, name):
     controller = controller_by_name(name, bundled)

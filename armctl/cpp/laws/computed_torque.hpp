@@ -37,7 +37,7 @@ class InverseDynamicsControl {
 public:
     InverseDynamicsControl(const Model& model, ComputedTorqueGains gains)
         : error(model->n()), error_rate(error), correction(error), added_torque(error), gains_(std::move(gains)), dynamics_(model),
-          acceleration_(error), further_acceleration_(error) {
+          acceleration_(error), further_acceleration_(error), commanded_(error), applied_(error) {
         require_size(gains_.torque_limit, model->n(), "torque_limit");
         require_size(gains_.added_damping, model->n(), "added_damping");
         for (size_t i = 0; i < model->n(); ++i) { gains_.added_damping[i] += model->drives[i].damping.linear; }
@@ -74,7 +74,22 @@ public:
         dynamics_.inverse_dynamics(state.q, state.v, acceleration_, tau);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += added_torque[i]; }
         dynamics_.add_friction(v_ref, a_ref, tau);
-        if (gains_.has_estimate()) { predict(tau, MotionEstimate(memory, error.size()).acceleration); }
+        if (!gains_.has_estimate()) { return; }
+        for (size_t i = 0; i < tau.size(); ++i) {
+            commanded_[i] = tau[i];
+            applied_[i] = clipped(tau[i], gains_.torque_limit[i]);
+        }
+        take_applied(applied_, memory);
+    }
+
+    // Estimates the acceleration of the coming period: the commanded one, and that of added torques and of what the motors, which
+    // got tau, cut off.
+    void take_applied(Vector tau, Result memory) {
+        if (!gains_.has_estimate()) { return; }
+        const MotionEstimate estimate(memory, error.size());
+        for (size_t i = 0; i < tau.size(); ++i) { further_acceleration_[i] = added_torque[i] + tau[i] - commanded_[i]; }
+        dynamics_.accelerate(further_acceleration_);
+        for (size_t i = 0; i < tau.size(); ++i) { estimate.acceleration[i] = acceleration_[i] + further_acceleration_[i]; }
     }
 
     // Of the last tick, (n,) each.
@@ -86,19 +101,11 @@ public:
 private:
     Vector velocity(const Setpoint& setpoint) const { return gains_.textbook ? setpoint.v : setpoint.v_tick; }
 
-    // The acceleration of the coming period: the commanded one, and that of added torques and of what the motors cut off.
-    void predict(Vector tau, Result acceleration) {
-        for (size_t i = 0; i < tau.size(); ++i) {
-            further_acceleration_[i] = added_torque[i] + clipped(tau[i], gains_.torque_limit[i]) - tau[i];
-        }
-        dynamics_.accelerate(further_acceleration_);
-        for (size_t i = 0; i < tau.size(); ++i) { acceleration[i] = acceleration_[i] + further_acceleration_[i]; }
-    }
-
     ComputedTorqueGains gains_;  // `added_damping` with the linear damping of the joints
     Dynamics dynamics_;
 
     Numbers acceleration_, further_acceleration_;
+    Numbers commanded_, applied_;  // torques
 };
 
 class ComputedTorque final : public Cloneable<ComputedTorque> {
@@ -110,6 +117,8 @@ public:
         const State state = control_.feed_back(measured, setpoint, memory());
         control_.torque(state, setpoint, memory(), tau);
     }
+
+    void applied(Vector tau) noexcept override { control_.take_applied(tau, memory()); }
 
 private:
     InverseDynamicsControl control_;

@@ -87,21 +87,17 @@ public:
             tau[i] += known[i];
             is_clipped = is_clipped || std::abs(tau[i]) > tau_max;
         }
-        if (!is_clipped) { return; }
-        // What the motors cut off is no disturbance.
-        dynamics.accelerate(lost_);
-        for (size_t i = 0; i < tau.size(); ++i) { memory.motion.acceleration[i] += lost_[i]; }
+        if (is_clipped) { take_lost(memory); }
     }
 
-    // Takes the torque that the motors got instead of the last one: what a robot's limits cut off is no disturbance either.
+    // Takes the torque that the motors got instead of the last one.
     void take_applied(Vector tau, Memory& memory) {
         for (size_t i = 0; i < tau.size(); ++i) {
             const double applied = tau[i] - known[i];
             lost_[i] = applied - memory.last_torque[i];
             memory.last_torque[i] = applied;
         }
-        dynamics.accelerate(lost_);
-        for (size_t i = 0; i < tau.size(); ++i) { memory.motion.acceleration[i] += lost_[i]; }
+        take_lost(memory);
     }
 
     Dynamics dynamics;
@@ -109,6 +105,12 @@ public:
     Numbers known;   // N m, that is known besides the observer's model, such as dry friction
 
 private:
+    // What is cut off is no disturbance: the motion is expected without it.
+    void take_lost(Memory& memory) {
+        dynamics.accelerate(lost_);
+        for (size_t i = 0; i < lost_.size(); ++i) { memory.motion.acceleration[i] += lost_[i]; }
+    }
+
     ComputedTorqueObserverGains gains_;
     Numbers last_position_, last_velocity_, corrected_velocity_;
     Numbers lost_;  // torque that the motors cut off

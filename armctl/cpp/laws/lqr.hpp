@@ -39,6 +39,8 @@ public:
         for (size_t i = 0; i < joints(); ++i) { integral()[i] += control_.gains().estimate.dt * growth_[i]; }
     }
 
+    void applied(Vector tau) noexcept override { control_.take_applied(tau, memory()); }
+
 private:
     static ComputedTorqueGains inverse_dynamics_gains(size_t n, const LQRGains& gains) {
         return {.added_damping = Numbers(n), .torque_limit = gains.torque_limit, .estimate = gains.estimate};

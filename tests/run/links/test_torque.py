@@ -264,7 +264,7 @@ def test_lost_ticks_leave_the_memory_of_a_law_alone():
     assert np.abs(result.log.q - result.log.q_ref).max() < 1e-2
 
 
-@pytest.mark.parametrize("controller", ["computed-torque", "computed-torque-observer"])
+@pytest.mark.parametrize("controller", ["computed-torque", "computed-torque-observer", "lqr"])
 def test_after_a_lost_tick_the_torques_do_not_jump(controller: str):
     """A law that estimates speeds took an arm that moved for two ticks for twice as fast."""
     steps = []
