@@ -9,6 +9,7 @@ from armctl.core.validation import number
 MIN_SPEED = 1e-3
 MAX_SPEED = 1e3
 _MAX_LAG_S = 0.5  # a simulation that is further behind does not catch up
+_MAX_SLEEP_S = 0.05  # until the clock looks whether its speed was changed
 _MAX_IDLE_S = 0.05  # after a longer time without `wait`, the clock restarts: that time was spent on something else
 _FACTOR_WINDOW_S = 2.0
 
@@ -56,14 +57,24 @@ class RealTimeClock:
             self.restart()
 
     def wait(self, seconds: float) -> None:
-        """Sleeps until the wall clock has caught up, where the simulation went on by so many seconds since the last call."""
-        self._due += seconds / self._speed
-        self._simulated += seconds / self._speed
-        remaining = self._due - time.perf_counter()
-        if remaining > 0:
-            time.sleep(remaining)
-        elif remaining < -_MAX_LAG_S:
-            self._due -= remaining
+        """Sleeps until the wall clock has caught up, where the simulation went on by so many seconds since the last call.
+
+        A speed that is set meanwhile, by another thread, counts from then on.
+        """
+        begun = due = self._due
+        left, speed = seconds, self._speed
+        while True:
+            if speed != self._speed:
+                now = max(begun, time.perf_counter())
+                left = max(0.0, left - (now - begun) * speed)
+                begun, speed = now, self._speed
+            due = begun + left / speed
+            remaining = due - time.perf_counter()
+            if remaining <= 0:
+                break
+            time.sleep(min(remaining, _MAX_SLEEP_S))
+        self._simulated += due - self._due
+        self._due = due if remaining > -_MAX_LAG_S else due - remaining
         now = time.perf_counter()
         self._marks.append(_Mark(now, self._simulated))
         while len(self._marks) > 2 and now - self._marks[0].wall > _FACTOR_WINDOW_S:

@@ -28,7 +28,7 @@ from armctl.run.execution.obstacles import Obstacles
 from armctl.run.sim.gripper.gripper import Gripper
 from armctl.run.sim.plant import Plant
 from armctl.run.sim.stepper import Stepper
-from armctl.view.realtime.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
+from armctl.view.realtime.clock import RealTimeClock
 from armctl.view.realtime.history import History
 from armctl.view.realtime.status import Activity, Status
 from armctl.view.realtime.target_follower import TargetFollower
@@ -152,12 +152,7 @@ class RealTimeSession:
 
     def set_speed(self, speed: float) -> None:
         """Changes how many simulated seconds pass in a second, in [0.001, 1000]."""
-        speed = number("speed", speed, MIN_SPEED, MAX_SPEED)
-
-        def change() -> None:
-            self._clock.speed = speed
-
-        self._command("speed", change)
+        self._clock.speed = speed
 
     def pause(self, paused: bool) -> None:
         """Stops simulated time, or lets it continue."""

@@ -1,6 +1,7 @@
 """The real-time session, stepped by hand: it follows its target, executes commands, and reports what it does."""
 
 import html
+import threading
 import time
 from dataclasses import FrozenInstanceError, replace
 
@@ -328,6 +329,16 @@ def test_the_clock_keeps_time_and_catches_up():
         clock.wait(0.01)
     assert time.perf_counter() - started >= 0.2
     assert 0.0 < clock.real_time_factor <= 1.05
+
+
+def test_a_clock_in_slow_motion_takes_a_new_speed_while_it_waits():
+    clock = RealTimeClock(MIN_SPEED)
+    waiting = threading.Thread(target=clock.wait, args=(1.0,), daemon=True)  # 1000 s
+    waiting.start()
+    time.sleep(0.02)
+    clock.speed = MAX_SPEED
+    waiting.join(timeout=30.0)
+    assert not waiting.is_alive()
 
 
 @pytest.mark.parametrize("speed", [0.0, MIN_SPEED / 2, 2 * MAX_SPEED, float("nan"), -1.0])
