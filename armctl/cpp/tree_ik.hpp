@@ -148,8 +148,8 @@ private:
         const double below = q - limits_.q_min[i] - rounding;
         double low = -std::min(v_max, fastest_to_stop(below, a, dt));
         double high = std::min(v_max, fastest_to_stop(above, a, dt));
-        if (above < 0.0) { low = high = std::max(above / dt, -v_max); }
-        if (below < 0.0) { low = high = std::min(-below / dt, v_max); }
+        if (above < 0.0) { high = std::max(above / dt, -v_max); }
+        if (below < 0.0) { low = std::min(-below / dt, v_max); }
         const Bounds reachable{v_before - a * dt, v_before + a * dt};
         return {reachable.clamp(low), reachable.clamp(high)};
     }

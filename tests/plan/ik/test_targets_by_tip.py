@@ -1,5 +1,7 @@
 """Targets by tip: inverse kinematics of two arms, of hands and of limbs that share a torso. MuJoCo and mink judge it."""
 
+from dataclasses import replace
+
 import mink
 import mujoco
 import numpy as np
@@ -353,6 +355,22 @@ def test_steps_arrive_and_there_is_no_drift_when_targets_come_back(torso):
         position, turn = gap(torso, q, tip, pose)
         assert position < 1e-6
         assert turn < 1e-5
+
+
+def test_joints_leave_the_limits_that_they_are_at(torso):
+    """A joint that was beyond its limit by less than a rounding stood still for ever."""
+    near = {tip: torso.fk(torso.home, tip) for tip in torso.tips}
+    for limit in (0.52, 0.9, 1.3):
+        arm = torso.with_limits(replace(torso.limits, q_min=torso.home - limit, q_max=torso.home + limit))
+        for i in range(arm.n):
+            for rounding in range(-4, 20):
+                ik = armctl.DifferentialIk(arm)
+                q = np.array(arm.home)
+                start = arm.limits.q_max[i]
+                q[i] = start - rounding * np.spacing(start)
+                for _ in range(5):
+                    q = q + 0.005 * ik.step(q, near, 0.005)
+                assert q[i] < start - 1e-6
 
 
 def test_tips_that_stay_or_are_relative_hold_at_every_step(torso):

@@ -22,8 +22,8 @@ from armctl.plan.ik.solve import solve_ik
 
 _RUNGS = 48  # points of the first ladder
 _SEEDS = 64  # configurations that are descended from at the first one
-_FURTHER_SEEDS = 12  # and at each other one, in turn
-_BEAM = 48  # configurations of a point that are kept
+_FURTHER_SEEDS = 24  # and at each other one, in turn
+_BEAM = 96  # configurations of a point that are kept
 _MAX_RUNG_STEP = 0.7  # rad (m), of any joint from one rung to the next: a longer way may pass a singularity
 _MAX_POINT_STEP = 0.5  # rad (m), from one point to the next
 _MAX_LADDERS = 12  # with a rung more where the one before broke
