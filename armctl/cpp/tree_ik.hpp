@@ -134,6 +134,7 @@ private:
     static constexpr double BRAKING_SHARE = 0.8;  // of the accelerations: the rest keeps exact tasks on their curves
     static constexpr double CURVE_SHARE = 0.1;    // of the accelerations, on the curves of exact tasks
     static constexpr double ROUNDING = 1e-12;     // relative, of speeds
+    static constexpr double CORRECTION = 1e-8;    // rad (m), of a joint: of the order of `EXACT`
     static constexpr int MAX_STOPPING = 400;      // steps that are looked ahead
     static constexpr double NEARLY_EXACT = 2e-7;  // reaches: what braking may miss exact tasks by
     static constexpr int MAX_SLOWER = 6;          // trials of slower steps, ...
@@ -190,12 +191,13 @@ private:
     }
 
     // Whether all joints can stop together after a step dx (n,) from q (n,), each inside its limits: with speeds that become smaller in
-    // proportion, exact tasks go on to hold. It takes so long as the joint with the weakest brake needs.
+    // proportion, exact tasks go on to hold. It takes so long as the joint with the weakest brake needs. A joint at its limit may be
+    // corrected towards it, to keep exact tasks; that is no motion which goes on.
     bool can_brake(Vector q, Vector dx, double dt) {
         const double duration = braking_time(dx, dt);
         for (size_t i = 0; i < n(); ++i) {
             const double way = dx[i] * errors_.unit()[i] * (1.0 + 0.5 * duration / dt);
-            if (q[i] + way < limits_.q_min[i] || q[i] + way > limits_.q_max[i]) { return false; }
+            if (q[i] + way < limits_.q_min[i] - CORRECTION || q[i] + way > limits_.q_max[i] + CORRECTION) { return false; }
         }
         if (polygon_.empty()) { return true; }
         for (size_t i = 0; i < n(); ++i) { end_[i] = q[i] + dx[i] * errors_.unit()[i] * (1.0 + 0.5 * duration / dt); }
