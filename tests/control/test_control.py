@@ -149,6 +149,8 @@ def test_works_without_tick_differences(name, bundled):
     tau = controller.torque(armctl.State(bundled.home, zero), Setpoint(bundled.home, zero, zero))
     assert np.isfinite(tau).all()
     assert tau.shape == (bundled.n,)
+    half = controller_by_name(name, bundled)  # without both differences there are none
+    assert np.array_equal(half.torque(armctl.State(bundled.home, zero), Setpoint(bundled.home, zero, zero, zero)), tau)
 
 
 def test_an_unknown_controller_has_a_suggestion(bundled):

@@ -44,6 +44,16 @@ def test_delays_and_encoders_are_learnt_too(plant, tmp_path):
     assert learning.errors[-1] < learning.errors[0] / 20
 
 
+def test_a_run_that_ends_with_its_reference_is_complete(bundled):
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.2)
+    learning = armctl.IterativeLearning(bundled, motion)
+    learning.update(armctl.simulate(bundled, "pd", learning.reference, dwell=0.0))
+    shorter = armctl.move_j(bundled, bundled.home, bundled.home + 0.15)
+    assert shorter.duration < motion.duration - 0.01
+    with pytest.raises(armctl.InputError, match="not a complete run"):
+        learning.update(armctl.simulate(bundled, "pd", shorter, dwell=0.0))
+
+
 def test_what_made_it_worse_is_not_built_upon(bundled):
     """A repetition on another plant spoils the errors of one repetition: the next reference is near the best one again."""
     motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.4, speed=0.5)

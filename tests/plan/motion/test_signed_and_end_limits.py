@@ -99,6 +99,23 @@ def test_random_motions_into_the_ends_keep_the_limits(name: str, kind: str, case
     assert outside > 0  # by motions without such limits
 
 
+@pytest.mark.parametrize("name", ["move_j", "joints by themselves"])
+def test_a_motion_is_slowed_no_more_than_the_ends_demand(name: str):
+    limits = limits_of("ends")
+    rng = np.random.default_rng(11)
+    slowed = 0
+    for _ in range(10):
+        waypoints = [near_ends(rng), near_ends(rng)]
+        if excess_of(limits, MOTIONS[name](free(), waypoints)) > 1e-3:
+            slowed += 1
+            motion = MOTIONS[name](free().with_limits(limits), waypoints)
+            q, v = motion.sample(np.linspace(0.0, motion.duration, 3001))[:2]
+            low, high = bounds_at(limits, q)
+            bound = np.where(v > 0.0, high, -low)
+            assert (np.abs(v)[bound > 0.0] / bound[bound > 0.0]).max() > 0.99
+    assert slowed > 2
+
+
 def test_a_tip_line_into_the_end_of_a_range_keeps_the_limits():
     arm = free().with_limits(limits_of("ends"))
     start = np.array([2.6, 0.6, -1.2])

@@ -1,8 +1,9 @@
 """A momentum observer finds pushes and nothing else; reactions keep all limits; a floating arm follows a hand."""
 
+import mujoco
 import numpy as np
 import pytest
-from synthetic import BENT, serial_arm
+from synthetic import BENT, limb, mjcf, motors, serial_arm
 
 import armctl
 
@@ -118,6 +119,16 @@ def test_a_floating_arm_stays_follows_a_hand_and_comes_to_rest(arm):
         sim.step()
     assert np.abs(sim.state.v).max() < 0.2
     assert arm.limits.contains(sim.state.q, 0.05)
+
+
+def test_hand_guiding_helps_against_friction_in_the_direction_of_motion():
+    text = mjcf(limb("a", joint='frictionloss="2" damping="0.5"'), motors("a"))
+    arm = armctl.load(mujoco.MjSpec.from_string(text))
+    law = armctl.HandGuiding(arm, friction_share=0.5)
+    setpoint = armctl.Setpoint(arm.home, np.zeros(1), np.zeros(1))
+    for v in (-0.3, 0.3):
+        tau = law.torque(armctl.State(arm.home, np.array([v])), setpoint)
+        assert tau == pytest.approx(arm.gravity(arm.home) + 0.5 * (2.0 * np.sign(v) + 0.5 * v))
 
 
 @pytest.mark.parametrize(
