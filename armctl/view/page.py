@@ -115,7 +115,7 @@ class Page:
 
     @property
     def is_target_held(self) -> bool:
-        return self._controls.shown.target.is_held
+        return self._controls.is_target_held
 
     def serve(self, *, demonstrated: bool = False) -> None:
         """Keeps the page up to date until `close`. The target moves by itself if `demonstrated`, until somebody touches it."""
@@ -129,7 +129,7 @@ class Page:
                     self._replace(self._loaded.get())
                 if demonstration is not None:
                     demonstration.advance(time.monotonic())
-                self._controls.shown.draw()
+                self._controls.draw()
                 if time.monotonic() - text_written_at > _TEXT_INTERVAL_S:
                     text_written_at = time.monotonic()
                     self._controls.shown.write(self._notice)

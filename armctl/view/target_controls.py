@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,9 +35,15 @@ _SHIFT_BUTTONS = ("-x", "+x", "-y", "+y", "-z", "+z")
 class TargetControls:
     """Everything on the page that moves the target, and back; as for `Panel`, callbacks are coroutines."""
 
-    def __init__(self, server: viser.ViserServer, session: RealTimeSession, root: str):
-        """Adds the handles below the scene node `root`; `add_fields` adds the fields to the panel."""
+    def __init__(
+        self, server: viser.ViserServer, session: RealTimeSession, root: str, take: Callable[[], Awaitable[None]] | None = None
+    ):
+        """Adds the handles below the scene node `root`; `add_fields` adds the fields to the panel.
+
+        Before a handle moves the target, `take` lets the session command the robot.
+        """
         self._server = server
+        self._take = take
         self._session = session
         self._drawn_target = session.status.target
         self._held_by: int | None = None
@@ -111,13 +117,17 @@ class TargetControls:
             _show(self._rpy, status.target.rpy)
 
     async def _dragged(self, event: viser.TransformControlsEvent) -> None:
-        if self._held_by is None:
-            self._undo.append(self._session.status.target)
-        self._held_by = None if event.phase == "end" else event.client_id
-        turned = Pose(event.target.position, quat=event.target.wxyz)
+        turned = Pose(event.target.position, quat=event.target.wxyz)  # now: later the handle may be elsewhere
         if self._has_world_axes:
             turned = computed_pose(turned.position, turned.rotation @ self._grip.rotation)
-        self._session.aim(turned, held=self.is_held)
+        if self._held_by is None:
+            self._undo.append(self._session.status.target)
+        self._held_by = event.client_id
+        if self._take is not None:
+            await self._take()
+        self._session.aim(turned, held=event.phase != "end")
+        if event.phase == "end":
+            self._held_by = None
 
     def _aim(self, target: Pose) -> None:
         self._undo.append(self._session.status.target)

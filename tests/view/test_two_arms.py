@@ -71,3 +71,35 @@ def test_either_arm_follows_its_target_while_the_other_stands(path: Path):
             )
             assert np.abs(session.status.qpos[other.arm.qpos_adr] - before[other.arm.qpos_adr]).max() < 1e-3
             assert np.abs(session.status.q - before[session.arm.qpos_adr]).max() > 0.1
+
+
+def test_a_dragged_handle_chooses_its_arm(path: Path):
+    """Each tip has a handle, which is there all the time; that of an arm that stands is at its tip."""
+    with open_page(loaded(str(path))) as page, connected(page) as client:
+        first, second = (controls.session for controls in page._controls.arms.values())
+        until(lambda: page.session is first and first.status.activity is Activity.AT_TARGET, "the first arm does not come")
+        first.aim(first.arm.fk(first.status.q + 0.2))
+        before = first.status.target
+        for k, session in enumerate((second, first, second)):
+            other = first if session is second else second
+            goal = session.arm.fk(session.arm.home + 0.1 * (k + 1)).position
+            message = {"name": f"/scene0/arm{int(session is second)}/goal", "owner": ""}
+            client.send({"type": "TransformControlsDragStartMessage", **message})
+            for share in (0.5, 1.0):
+                position = (share * goal + (1.0 - share) * session.arm.fk(session.status.q).position).tolist()
+                turned = {"wxyz": [1.0, 0.0, 0.0, 0.0], "position": position}
+                client.send({"type": "TransformControlsUpdateMessage", **message, **turned})
+            client.send({"type": "TransformControlsDragEndMessage", **message})
+            until(lambda session=session, other=other: page.session is session and other.is_standing_by, "not chosen")
+            until(
+                lambda session=session, goal=goal: (
+                    np.abs(session.status.target.position - goal).max() < 1e-6
+                    and session.status.activity is Activity.AT_TARGET
+                    and not page.is_target_held
+                ),
+                "the arm does not follow",
+            )
+            handle = page._controls.arms[other.arm.tip].target._gizmo
+            tip = other.arm.fk(session.status.qpos[other.arm.qpos_adr]).position
+            until(lambda handle=handle, tip=tip: np.abs(np.array(handle.position) - tip).max() < 1e-3, "no handle at the tip")
+        assert before is not first.status.target
