@@ -61,13 +61,15 @@ class RealTimeClock:
 
         A speed that is set meanwhile, by another thread, counts from then on.
         """
-        begun = due = self._due
-        left, speed = seconds, self._speed
+        begun = self._due
+        left = seconds
+        speed = self._speed
         while True:
             if speed != self._speed:
                 now = max(begun, time.perf_counter())
                 left = max(0.0, left - (now - begun) * speed)
-                begun, speed = now, self._speed
+                begun = now
+                speed = self._speed
             due = begun + left / speed
             remaining = due - time.perf_counter()
             if remaining <= 0:
