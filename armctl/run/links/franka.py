@@ -17,7 +17,6 @@ from armctl.core.validation import Array, as_array, flag, inertia_tensor, instan
 from armctl.run.links.envelope import Envelope
 from armctl.run.links.link import HandReading, Link, Reading
 from armctl.run.links.torque_interface import TorqueInterface, TorqueLink
-from armctl.run.links.torque_limiter import KEPT_SHARE
 
 _COLLISION_TORQUE = 20.0  # N m, at which the robot stops; the value of Franka's examples
 _COLLISION_FORCE = 20.0  # N
@@ -113,7 +112,6 @@ class Franka(Link, TorqueLink):
         self._robot: Any = None
         self._control: Any = None
         self._hand: Any = None
-        self._commanded_torque = np.zeros(7)  # N m, that the robot reports as the last one that it got
         self._stands_where_it_is = False  # whether torques moved it last, so that it has no commanded position
         self._is_first = True  # whether no row of the stream was sent yet
         self._received = 0.0  # s of the clock, when the last reading came
@@ -166,19 +164,13 @@ class Franka(Link, TorqueLink):
         self._received = now
         ticks = 1 if self._is_first else max(1, round(period.to_sec() / self.dt))
         self._is_first = False
-        self._commanded_torque = np.array(state.tau_J_d)
         return ticks, self._reading(state)
 
     def send(self, q: Array, last: bool) -> None:
         self._write("JointPositions", vector("q", q, 7), flag("last", last))
 
     def send_torques(self, tau: Array, last: bool) -> None:
-        tau = vector("tau", tau, 7)
-        if self.torque is not None:
-            # As libfranka's `limitRate` does: where a command is lost, the robot compares the next one with the one before it.
-            step = KEPT_SHARE * self.dt * self.torque.rate_limits
-            tau = np.clip(tau, self._commanded_torque - step, self._commanded_torque + step)
-        self._write("Torques", tau, flag("last", last))
+        self._write("Torques", vector("tau", tau, 7), flag("last", last))
 
     def _write(self, kind: str, row: Array, last: bool) -> None:
         """Sends a row of a kind, the name of its class in Franka's client."""
@@ -243,6 +235,7 @@ class Franka(Link, TorqueLink):
             tau=np.array(state.tau_J),
             q_ref=np.array(state.q if self._stands_where_it_is else state.q_d),
             fault=fault,
+            tau_ref=np.array(state.tau_J_d),
         )
 
 

@@ -21,6 +21,7 @@ class Reading(NamedTuple):
         tau: (n,) N m, by torque sensors; NaN where the robot has none.
         q_ref: (n,) rad, the robot's last command, where a motion starts.
         fault: The maker's words for a reflex or a stop; empty while all is well.
+        tau_ref: (n,) N m, the last torques that the robot was sent, as it reports; None where it does not tell.
     """
 
     t: float
@@ -29,6 +30,7 @@ class Reading(NamedTuple):
     tau: Array
     q_ref: Array
     fault: str = ""
+    tau_ref: Array | None = None
 
 
 class HandReading(NamedTuple):

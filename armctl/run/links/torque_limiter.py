@@ -11,7 +11,7 @@ from armctl.run.links.envelope import Envelope
 from armctl.run.links.link import Reading
 from armctl.run.links.torque_interface import TorqueInterface
 
-KEPT_SHARE = 1.0 - 1e-3  # of a maker's bounds, so that rounding on the wire does not exceed them
+_KEPT_SHARE = 1.0 - 1e-3  # of a maker's bounds, so that rounding on the wire does not exceed them
 _ENCODER_EXCESS = 1e-3  # rad: encoders may read a little more than the range
 
 
@@ -24,8 +24,8 @@ class TorqueLimiter:
         self.total = np.zeros(arm.n)  # (n,) N m, the same with what the maker adds to them
         self._arm = arm
         self._maker = AddedTorque(arm, interface)
-        self._tau_max = KEPT_SHARE * np.minimum(interface.torque_limits, arm.limits.tau_max)
-        self._step_max = KEPT_SHARE * dt * interface.rate_limits
+        self._tau_max = _KEPT_SHARE * np.minimum(interface.torque_limits, arm.limits.tau_max)
+        self._step_max = _KEPT_SHARE * dt * interface.rate_limits
 
     def start(self, reading: Reading) -> None:
         """Begins at the torques that hold the arm: those that the robot measures, or else its weight."""
@@ -39,6 +39,9 @@ class TorqueLimiter:
         added = self._maker.at(reading.q, reading.v)
         sent = _within(total, -self._tau_max, self._tau_max) - added
         sent = _within(sent, self.sent - self._step_max, self.sent + self._step_max)
+        if reading.tau_ref is not None:
+            # Where a torque is lost, the robot compares the next one with the one before it.
+            sent = _within(sent, reading.tau_ref - self._step_max, reading.tau_ref + self._step_max)
         self.sent = _within(sent, -self._tau_max, self._tau_max)
         self.total = self.sent + added
         return self.sent

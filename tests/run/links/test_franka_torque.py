@@ -29,6 +29,9 @@ class Controller:
         self.tick = 0
         self.lost = dict(LOST)
         self.commanded = np.zeros(7)
+        self.late = 0  # ticks, until it reports a command
+        self.sent: list[np.ndarray] = []  # all torques, lost ones, too
+        self._reported = [np.zeros(7)] * 3
         self.greatest_rate = 0.0
         self.greatest = np.zeros(7)
         self.moving = False
@@ -44,7 +47,7 @@ class Controller:
             dq=[0.0] * 7,
             q_d=(self.q + self.tick).tolist(),  # of no use after torques
             tau_J=(self.commanded + arm_of("fr3").gravity(self.q)).tolist(),
-            tau_J_d=self.commanded.tolist(),
+            tau_J_d=self._reported[-1 - self.late].tolist(),
             current_errors="",
             O_T_EE=np.eye(4).T.ravel().tolist(),
         )
@@ -60,13 +63,16 @@ class Controller:
     def writeOnce(self, command: Any) -> None:
         assert self.moving
         self.moving = not command.motion_finished
+        self.sent.append(np.array(command.row))
         for tick, count in self.lost.items():
             if tick <= self.tick < tick + count:
+                self._reported.append(self.commanded)
                 return
         tau = np.array(command.row)
         self.greatest_rate = max(self.greatest_rate, float(np.abs(tau - self.commanded).max()) / DT)
         self.greatest = np.maximum(self.greatest, np.abs(tau))
         self.commanded = tau
+        self._reported.append(tau)
 
 
 class Command:
@@ -94,15 +100,42 @@ def opened(**options: Any) -> armctl.links.Franka:
     return link
 
 
-def test_torques_keep_their_rate_where_commands_are_lost(controller: Controller):
+class Wild:
+    """A law whose torques jump; it notes what the motors got."""
+
+    def __init__(self) -> None:
+        self.got: list[np.ndarray] = []
+        self._rng = np.random.default_rng(0)
+
+    def torque(self, state: State, setpoint: Setpoint) -> np.ndarray:
+        return np.full(7, 20.0) * self._rng.choice([-1.0, 1.0], 7)
+
+    def applied(self, tau: np.ndarray) -> None:
+        self.got.append(np.array(tau))
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_torques_keep_their_rate_where_commands_are_lost_or_late(controller: Controller, late: int):
+    """The law is told what was sent; a robot that reports commands late is sent no more than it bears."""
+    arm = arm_of("fr3")
+    controller.late = late
+    law = Wild()
+    host = LinkHost(opened(), link_law(arm, opened(), law, envelope_of(arm.limits, "test"), None))
+    host.open()
+    assert host.play(armctl.move_j(arm, arm.home, arm.home).pieces, None, arm.limits).reason == ""
+    for _ in range(700):
+        host.advance()
+    assert 0.3 * RATE_MAX < controller.greatest_rate <= RATE_MAX
+    told = np.array(law.got) - arm.gravity(arm.home)
+    sent = np.array(controller.sent)
+    assert np.abs(told[-len(sent) :] - sent[-len(told) :]).max() < 1e-9
+
+
+def test_a_stream_of_torques_that_has_ended_takes_none(controller: Controller):
     link = opened()
     link.start_torques()
-    rng = np.random.default_rng(0)
-    wild = np.cumsum(rng.choice([-0.99, 0.99], (700, 7)), axis=0)
-    for tick, tau in enumerate(wild):
-        link.wait()
-        link.send_torques(tau, tick == len(wild) - 1)
-    assert 0.9 * RATE_MAX < controller.greatest_rate <= RATE_MAX
+    link.wait()
+    link.send_torques(np.zeros(7), last=True)
     assert not controller.moving
     with pytest.raises(armctl.LinkError, match="no stream is open"):
         link.send_torques(np.zeros(7), last=False)
