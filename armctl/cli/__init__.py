@@ -81,4 +81,6 @@ def _interrupt_again() -> None:
 
 def _interrupt_later() -> None:
     time.sleep(_AGAIN_AFTER_S)
-    _thread.interrupt_main()
+    main = threading.main_thread().ident
+    if main is not None:
+        signal.pthread_kill(main, signal.SIGINT)  # it interrupts a call that waits, as `_thread.interrupt_main` does not

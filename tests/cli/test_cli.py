@@ -539,6 +539,7 @@ def test_reach_takes_a_speed(capsys):
     assert durations[1] > 1.5 * durations[0]
 
 
+@pytest.mark.full
 def test_compare_on_a_robot_shows_it_beside_its_simulation(capsys, monkeypatch, tmp_path):
     simulated = plant_link.PlantLink
     monkeypatch.setattr(plant_link, "PlantLink", lambda *given, **more: simulated(*given, **(more | {"real_time": False})))
@@ -617,9 +618,9 @@ def test_an_interrupt_that_python_cannot_raise_is_raised_soon_after():
         "import signal, sys, time\nfrom armctl.cli import unraisable_hook\n"
         "sys.unraisablehook = unraisable_hook\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Interrupted:\n    def __del__(self): raise KeyboardInterrupt\n"
-        "try:\n    Interrupted()\n    time.sleep(10)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
+        "try:\n    Interrupted()\n    time.sleep(1000)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
@@ -629,10 +630,10 @@ def test_an_interrupt_waits_until_modules_are_imported(tmp_path):
     )
     code = (
         "import signal, time\nfrom armctl.cli import interrupt\nsignal.signal(signal.SIGINT, interrupt)\n"
-        "try:\n    import slow\n    time.sleep(10)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
+        "try:\n    import slow\n    time.sleep(1000)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
     )
     paths = {"PYTHONPATH": f"{tmp_path}:{_paths()['PYTHONPATH']}"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | paths)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | paths, timeout=100)
     assert (done.stdout, done.stderr) == ("imported\ninterrupted\n", "")
 
 

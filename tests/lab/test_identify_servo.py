@@ -293,6 +293,7 @@ def test_without_gravity_the_scale_is_not_shown(tmp_path):
     assert found.parameters.delay == pytest.approx(DELAY, rel=0.1)
 
 
+@pytest.mark.full
 def test_a_judge_that_moves_otherwise_rejects(known, file):
     arm, _ = known
     judge = recorded(arm, 2)

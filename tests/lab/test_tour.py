@@ -13,6 +13,7 @@ from armctl.lab.tour import tour_of
 STOPS = ["Reach", "Around an obstacle", "An unknown payload", "PD beside computed torque", "Margins"]
 
 
+@pytest.mark.full
 def test_the_page_shows_every_program_and_what_it_gave(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "tour.html"
     assert main(["tour", BUNDLED, "--out", str(path)]) == 0
