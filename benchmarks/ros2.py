@@ -4,14 +4,16 @@
     python benchmarks/ros2.py --arms robot_arm_3dof --motions 3 --stops 1    # a minute
 
 Each arm is served by `armctl ros2 serve` in a process of its own, and commanded through `armctl.links.ROS2`, on this computer
-only. Motions lead to random configurations, around what is in the model; "end" is the largest distance of a joint from its goal
-afterwards, as the served arm publishes it. A stop is asked for at a random share of a slower motion: "off the path" is the
-largest distance of the joints from the planned path where the arm came to rest, "moves" the greatest speed of a joint then.
+only. Motions lead to random configurations that can be reached without contact; "end" is the largest distance of a joint from
+its goal afterwards, as the served arm publishes it. A stop is asked for at a random share of a slower motion: "off the path"
+is the largest distance of the joints from the planned path where the arm came to rest, "moves" the greatest speed of a joint
+then.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import subprocess
@@ -44,8 +46,13 @@ class Motions:
         self.rng = np.random.default_rng(SEED)
 
     def goal(self) -> np.ndarray:
+        """A random configuration to which a path leads."""
         arm = self.robot.arm
-        return arm.home + RANGE * (arm.limits.random(arm.home, 1, self.rng)[0] - arm.home)
+        while True:
+            q = arm.home + RANGE * (arm.limits.random(arm.home, 1, self.rng)[0] - arm.home)
+            with contextlib.suppress(armctl.PlanError):
+                armctl.move_free(arm, self.robot.state.q, q)
+                return q
 
     def all(self, count: int) -> tuple[int, float]:
         """How many are reached, and the largest distance from a goal, rad."""

@@ -482,7 +482,7 @@ def _paths() -> dict[str, str]:
 
 @pytest.mark.full
 def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
-    chosen = ("--controllers", "pd,computed-torque", "--plants", "nominal,payload=1")
+    chosen = ("--controllers", "computed-torque", "--plants", "nominal,payload=1", "--configurations", "2")
     status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--out", str(tmp_path), "--threads", "1", "--json")
     assert status == 0
     assert [(r["controller"], r["plant"]) for r in json.loads(out)["result"]][-1] == ("computed-torque", "payload 1 kg")
