@@ -354,7 +354,7 @@ def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
 
 @pytest.mark.full
 def test_margins_are_a_table_and_a_page(capsys, tmp_path):
-    chosen = ("--controllers", "pd,pd-gravity", "--configurations", "3", "--timestep", "0.002")
+    chosen = ("--controllers", "pd,pd-gravity", "--configurations", "2", "--timestep", "0.002")
     status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--out", str(tmp_path))
     assert status == 0, err
     assert [line.split()[0] for line in out.splitlines()[-2:]] == ["pd", "pd-gravity"]
@@ -362,7 +362,7 @@ def test_margins_are_a_table_and_a_page(capsys, tmp_path):
     assert page.count("<svg") == 2
     status, out, _ = run(capsys, "margins", BUNDLED, *chosen, "--json")
     for figures in json.loads(out)["result"]:
-        again = armctl.margins(armctl.load(BUNDLED), figures["controller"], 3, [armctl.Plant(timestep=0.002)])
+        again = armctl.margins(armctl.load(BUNDLED), figures["controller"], 2, [armctl.Plant(timestep=0.002)])
         assert figures["delay"]["value"] == again.delay.value
 
 
