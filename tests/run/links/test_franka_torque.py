@@ -125,7 +125,8 @@ def test_torques_keep_their_rate_where_commands_are_lost_or_late(controller: Con
     assert host.play(armctl.move_j(arm, arm.home, arm.home).pieces, None, arm.limits).reason == ""
     for _ in range(700):
         host.advance()
-    assert 0.3 * RATE_MAX < controller.greatest_rate <= RATE_MAX
+    # Against a report that is old, a part of the rate must do.
+    assert (0.3 if late else 0.9) * RATE_MAX < controller.greatest_rate <= RATE_MAX
     told = np.array(law.got) - arm.gravity(arm.home)
     sent = np.array(controller.sent)
     assert np.abs(told[-len(sent) :] - sent[-len(told) :]).max() < 1e-9

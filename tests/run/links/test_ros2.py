@@ -49,7 +49,7 @@ def test_one_program_gives_the_same_results_in_simulation_behind_a_link_and_thro
             results = program(robot)
             log = robot.log
     assert not controller.refused
-    assert len(controller.accepted) >= 3  # on a busy computer what came too late is sent again
+    assert len(controller.accepted) == 3, controller.delays
     for result, of_plant, of_simulation in zip(results, expected, in_simulation, strict=True):
         assert result.ok == of_plant.ok == of_simulation.ok
         assert result.reason.partition(" ")[0] == of_plant.reason.partition(" ")[0]
