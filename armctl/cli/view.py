@@ -7,13 +7,12 @@ import ctypes
 import functools
 import os
 import platform
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.cli import common
-from armctl.core.errors import ArmctlWarning, InputError
+from armctl.core.errors import InputError
 
 if TYPE_CHECKING:
     from armctl.model.arm.arm import Arm
@@ -61,12 +60,12 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(
                 f"scene: MuJoCo's own viewer shows one, got {len(args.scene)}; leave out --native or give one scene"
             )
-        view.view_natively(loaded_arms(args, next(iter(scenes.values())))[0], args.controller)
+        view.view_natively(loaded_arm(args, next(iter(scenes.values()))), args.controller)
     else:
         _return_large_buffers()
         catalog.locate(args.robot)  # an unknown name is reported before a browser opens
         view.view(
-            {name: functools.partial(loaded_arms, args, scene) for name, scene in scenes.items()},
+            {name: functools.partial(loaded_arm, args, scene) for name, scene in scenes.items()},
             args.controller,
             port=args.port,
             host=args.host,
@@ -84,19 +83,9 @@ def scenes_by_name(paths: Sequence[str]) -> dict[str, str | None]:
     return {**dict(zip(names if are_unique else paths, paths, strict=True)), _NO_SCENE: None}
 
 
-def loaded_arms(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]:
-    """The arm in a scene; of an arm with several tips, the arm to each of them."""
-    from armctl.model.loading.build import arm_to
-
-    args = argparse.Namespace(**{**vars(args), "scene": scene})
-    arm = common.load_arm(args)
-    if not arm.further_tips:
-        return (arm,)
-    if arm.joint_map.closure is None:
-        return tuple(arm_to(arm, tip) for tip in arm.tips)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ArmctlWarning)  # they were shown for the whole
-        return tuple(common.load_arm(argparse.Namespace(**{**vars(args), "tip": tip})) for tip in arm.tips)
+def loaded_arm(args: argparse.Namespace, scene: str | None = None) -> Arm:
+    """The arm in a scene."""
+    return common.load_arm(argparse.Namespace(**{**vars(args), "scene": scene}))
 
 
 def _return_large_buffers() -> None:

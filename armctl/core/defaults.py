@@ -10,6 +10,7 @@ MIN_DAMPING_RATIO = 0.1  # of a closed loop; below it, a vibration takes more th
 AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
 RESTING_S = 0.5  # a joint that moves by less than that speed allows in this time rests, however its sensors make it tremble
 DEFAULT_GRIP_FORCE = 10.0  # N
+MIN_JOINTS_FOR_POSES = 6  # to a tip: with fewer, most places leave no choice of the orientation
 CONFIDENCE = 0.95  # of intervals
 FINDING_ERRORS = 3.0  # standard errors, from which a difference is a finding
 TIMESTEPS_S = (1e-6, 0.1)  # of a model or a plant

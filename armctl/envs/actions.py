@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armctl import _core
+from armctl.core.defaults import MIN_JOINTS_FOR_POSES
 from armctl.core.errors import InputError, few_names
 from armctl.core.limits import Limits
 from armctl.model.arm.arm import Arm
 
-_MIN_JOINTS_FOR_POSES = 6
 _TURN = 2.0 * np.pi  # rad (m), to both sides of home
 _MAX_SMOOTHING_S = 10.0
 _STOP_MARGIN = 1e-3  # of the range of a joint
@@ -38,7 +38,7 @@ class ActionMode:
         """The numbers of an action: one a joint, or 6 of the tip (3 where the arm has fewer than 6 joints)."""
         if self.position_scale == 0.0:
             return arm.n
-        return 6 if arm.n >= _MIN_JOINTS_FOR_POSES else 3
+        return 6 if arm.n >= MIN_JOINTS_FOR_POSES else 3
 
 
 ACTION_MODES = {

@@ -11,6 +11,7 @@ from armctl.core.latest_worker import LatestWorker
 from armctl.core.tables import Table
 from armctl.lab.comparison import WITH_ENCODER, compare, out_and_back
 from armctl.model.arm.arm import Arm
+from armctl.model.loading.build import arm_to
 from armctl.plan.ik.reachability import reachability
 from armctl.report.plot import overlay_image
 from armctl.report.report import Report, report_columns
@@ -82,10 +83,12 @@ def _table(reports: Sequence[Report]) -> str:
 class ReachabilityPanel:
     """The map is computed in a thread of its own when it is first shown; the arm moves meanwhile."""
 
-    def __init__(self, server: viser.ViserServer, arm: Arm, root: str):
+    def __init__(self, server: viser.ViserServer, arm: Arm, root: str, tip: str):
+        """Adds the switch of a tip's map, which is drawn below the scene node `root`."""
         self._scene = server.scene
         self._arm = arm
-        self._root = root
+        self._tip = tip
+        self._name = f"{root}/reachable {arm.tips.index(tip)}"
         self._worker = LatestWorker("armctl reachability")
         self._points: viser.PointCloudHandle | None = None
         with server.gui.add_folder("Reachability", expand_by_default=False):
@@ -104,7 +107,8 @@ class ReachabilityPanel:
         if self._points is None and self._switch.value:
             self._text.content = "computing ..."
             try:
-                found = reachability(self._arm, threads=1)
+                arm = arm_to(self._arm, self._tip) if self._arm.further_tips else self._arm
+                found = reachability(arm, threads=1)
             except Exception as error:
                 self._text.content = f"not computed: {error}"[:300]
                 raise
@@ -112,8 +116,7 @@ class ReachabilityPanel:
                 return
             points, colours = found.cloud()
             size = _POINT_SIZE_SPACINGS * found.spacing
-            name = f"{self._root}/reachable"
-            self._points = self._scene.add_point_cloud(name, points, colours, point_size=size, point_shape="circle")
+            self._points = self._scene.add_point_cloud(self._name, points, colours, point_size=size, point_shape="circle")
             self._text.content = f"{found}. {_LEGEND}" if len(found.orientations) else f"{found}."
         if self._points is not None:
             self._points.visible = self._switch.value

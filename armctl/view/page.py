@@ -1,4 +1,4 @@
-"""Page: a real-time session in the browser, with a target to drag and a panel of controls."""
+"""Page: a real-time session in the browser, with targets to drag and a panel of controls."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _SIZE = 0.05  # radius of a round, of the model's extent
 _MAX_RADIUS_M = 0.1
 _REMEMBERED = 8  # poses that were sent and that the session may not have taken yet
 
-Scenes = Mapping[str, Callable[[], Sequence[Arm]]]
+Scenes = Mapping[str, Callable[[], Arm]]
 
 _log = logging.getLogger("armctl.view")
 
@@ -54,7 +54,8 @@ class Demonstration:
     def __init__(self, session: RealTimeSession):
         """It begins a second after the arm has come to its first target."""
         self._session = session
-        self._start = session.status.target
+        self._tip = session.hand_tip
+        self._start = session.status.targets[self._tip]
         self._sent = deque([self._start], maxlen=_REMEMBERED)
         self._begins_at: float | None = None
         self._radius = min(_SIZE * session.arm.model.stat.extent, _MAX_RADIUS_M)
@@ -65,12 +66,13 @@ class Demonstration:
         status = self._session.status
         if self.is_over or (self._begins_at is None and status.activity is not Activity.AT_TARGET):
             return
-        if status.paused or not any(status.target is pose for pose in self._sent):
+        is_own = set(status.aimed) <= {self._tip} and any(status.targets[self._tip] is pose for pose in self._sent)
+        if status.paused or not is_own:
             self.is_over = True
             return
         if status.activity is Activity.BLOCKED:  # no room to go around: the target goes back to where the arm reached it
             self.is_over = True
-            self._session.aim(self._start)
+            self._session.aim(self._start, tip=self._tip)
             return
         if self._begins_at is None:
             self._begins_at = now + _REST_S
@@ -79,14 +81,14 @@ class Demonstration:
         angle = 0.0 if self.is_over else 2 * np.pi * rounds
         shift = self._radius * np.array([0.0, np.sin(angle), np.cos(angle) - 1.0])
         self._sent.append(Pose(self._start.position + shift, quat=self._start.quat))
-        self._session.aim(self._sent[-1], held=not self.is_over)
+        self._session.aim(self._sent[-1], tip=self._tip, held=not self.is_over)
 
 
 class Page:
-    """Arms on a web page, of which one at a time is commanded, in one of several scenes."""
+    """An arm on a web page, in one of several scenes."""
 
-    def __init__(self, arms: Sequence[Arm], scene: WebScene, controller: str = "computed-torque", scenes: Scenes | None = None):
-        """Puts arms of one robot, and their controls, on a page; visitors choose among `scenes`."""
+    def __init__(self, arm: Arm, scene: WebScene, controller: str = "computed-torque", scenes: Scenes | None = None):
+        """Puts an arm and its controls on a page; visitors choose among `scenes`."""
         self.scene = scene
         self.url = scene.url
         self.port = scene.port
@@ -94,24 +96,24 @@ class Page:
         self._scenes = dict(scenes or {})
         self._scene_name = next(iter(self._scenes), "")
         self._notice = ""
-        self._loaded: queue.SimpleQueue[list[RealTimeSession]] = queue.SimpleQueue()
+        self._loaded: queue.SimpleQueue[RealTimeSession] = queue.SimpleQueue()
         self._loader = LatestWorker("armctl scene")
-        scene.set(arms[0], arms[1:], with_marker=False)  # the handles have a marker of their own
+        scene.set(arm, with_marker=False)  # the handles have a marker of their own
         if len(self._scenes) > 1:
             self._add_choice()
         self._scenes_shown = 0
-        self._controls = self._add_controls([RealTimeSession(arm, controller) for arm in arms])
+        self._controls = self._add_controls(RealTimeSession(arm, controller))
         self._closing = threading.Event()
         self._starter = threading.Thread(target=self._start_arm, name="armctl start", daemon=True)
         self._failed = False
 
     @property
     def session(self) -> RealTimeSession:
-        return self._controls.shown.session
+        return self._controls.session
 
     @property
     def panel(self) -> Panel:
-        return self._controls.shown.panel
+        return self._controls.panel
 
     @property
     def is_target_held(self) -> bool:
@@ -132,7 +134,7 @@ class Page:
                 self._controls.draw()
                 if time.monotonic() - text_written_at > _TEXT_INTERVAL_S:
                     text_written_at = time.monotonic()
-                    self._controls.shown.write(self._notice)
+                    self._controls.write(self._notice)
             except Exception:  # the page must not end while somebody uses it
                 if not self._failed and not self._closing.is_set():
                     _log.exception("the page could not show the session's status")
@@ -147,11 +149,11 @@ class Page:
         self._controls.close()
         self.scene.close()
 
-    def _add_controls(self, sessions: Sequence[RealTimeSession]) -> SceneControls:
+    def _add_controls(self, session: RealTimeSession) -> SceneControls:
         root = f"/scene{self._scenes_shown}"  # its own for each: the controls of the one before are removed a moment later
         self._scenes_shown += 1
-        folder = sessions[0].arm.name if len(self._scenes) > 1 else ""
-        return SceneControls(sessions, self.scene, root, folder)
+        folder = session.arm.name if len(self._scenes) > 1 else ""
+        return SceneControls(session, self.scene, root, folder)
 
     def _add_choice(self) -> None:
         """A list of the scenes. The message filter drops names that are not in it."""
@@ -164,9 +166,9 @@ class Page:
         def load(name: str) -> None:
             self._notice = f"loading the scene {name} ..."
             try:
-                sessions = [RealTimeSession(arm, self._controller) for arm in self._scenes[name]()]
-                sessions[0].prepare()
-                self._loaded.put(sessions)
+                session = RealTimeSession(self._scenes[name](), self._controller)
+                session.prepare()
+                self._loaded.put(session)
                 self._scene_name = name
                 self._notice = ""
             except Exception as error:
@@ -182,13 +184,13 @@ class Page:
 
         chosen.on_update(choose)
 
-    def _replace(self, sessions: Sequence[RealTimeSession]) -> None:
+    def _replace(self, session: RealTimeSession) -> None:
         before = self._controls
-        self._controls = self._add_controls(sessions)
+        self._controls = self._add_controls(session)
         before.remove()
-        self.scene.set(sessions[0].arm, [session.arm for session in sessions[1:]], with_marker=False)
+        self.scene.set(session.arm, with_marker=False)
         self._controls.start()
-        self.session.stand_by(False)
+        session.stand_by(False)
 
     def _start_arm(self) -> None:
         """Lets the arm move; until then its session executes commands, so that the first click is answered at once."""
@@ -212,11 +214,11 @@ def view(
     allowed_hosts: Sequence[str] = (),
     title: str = "armctl",
 ) -> None:
-    """Serves a page with an arm that follows a target, until Ctrl-C.
+    """Serves a page with an arm whose tips follow targets, until Ctrl-C.
 
     Args:
-        scenes: Functions that load the arms in a scene, one arm or several of one robot, by the scene's name. The first is
-            called while the browser opens; visitors choose among several.
+        scenes: Functions that load the arm in a scene, by the scene's name. The first is called while the browser opens;
+            visitors choose among several.
         port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
         host: Address of this machine at which other machines reach the page; None for this machine alone.
         token: The token that visitors need. Required with a host.
@@ -236,9 +238,9 @@ def view(
         for module in _PRELOADED_MODULES:
             threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
         with contextlib.suppress(KeyboardInterrupt):
-            arms = next(iter(scenes.values()))()
-            print(f"{arms[0].name} is at {scene.url}; Ctrl-C ends it", flush=True)
-            page = Page(arms, scene, controller, scenes)
+            arm = next(iter(scenes.values()))()
+            print(f"{arm.name} is at {scene.url}; Ctrl-C ends it", flush=True)
+            page = Page(arm, scene, controller, scenes)
             stack.callback(page.close)
             gc.freeze()  # a collection that looks at everything that was loaded takes 0.1 s, in which the arm stands
             stack.callback(gc.unfreeze)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,15 +47,20 @@ class Panel:
         server: viser.ViserServer,
         text: viser.GuiMarkdownHandle,
         session: RealTimeSession,
-        target: TargetControls,
+        targets: Mapping[str, TargetControls],
         root: str,
+        choose: Callable[[str], None],
     ):
-        """Adds the controls of a session to a server's page, with the status in `text`; drawings go below the node `root`."""
+        """Adds the controls of a session to a server's page, with the status in `text`; drawings go below the node `root`.
+
+        Of several tips, the controls of each are in a folder of its own, and only those of one are shown; `choose` is called
+        with the name of another.
+        """
         self._gui = server.gui
         self._event_loop = server.get_event_loop()
         self._session = session
         self._text = text
-        self._target = target
+        self._targets = targets
         self._shape_note = "" if has_shapes(session.arm) else f"*{NO_SHAPES[0].upper()}{NO_SHAPES[1:]}.*"
         self._joints_moved_at = -np.inf
         self._joint_command: Array | None = None
@@ -66,19 +73,30 @@ class Panel:
         self._comparison = ComparisonPanel(server, session)  # near the top, so that its table opens in the window
         with server.gui.add_folder("Charts"):
             self.charts = Charts(server, session.arm.joint_names, session.history.read())
-        target.add_fields()
+        self._add_tip_choice(choose)
+        self._tip_folders: dict[str, viser.GuiFolderHandle] = {}
+        for tip in self._in_tip_folders():
+            targets[tip].add_fields()
         self._add_joints()
-        self._add_gripper()
-        self._reachability = ReachabilityPanel(server, session.arm, root)
+        for tip in self._in_tip_folders():
+            self._add_gripper(tip)
+        self._reachability = [ReachabilityPanel(server, session.arm, root, tip) for tip in self._in_tip_folders()]
         self.pictures = PicturePanel(server, session)
 
-    def update(self, status: Status, notice: str = "") -> None:
+    def show_tip(self, tip: str) -> None:
+        """Shows the controls of one tip of several."""
+        for name, folder in self._tip_folders.items():
+            folder.visible = name == tip
+        if self._chosen is not None:
+            self._chosen.value = tip
+
+    def update(self, status: Status, notice: str = "", *, is_held: bool = False) -> None:
         samples = self._session.history.read()
         refused = status.activity in (Activity.BLOCKED, Activity.OUT_OF_REACH)
         hint = _ORIENTATION_HINT if is_only_orientation_out_of_reach(status) else _REFUSED_HINT if refused else _HINT
         lines = [
             notice,
-            f"**{describe(status, is_held=self._target.is_held)}**",
+            f"**{describe(status, is_held=is_held)}**",
             describe_contacts(status),
             hint,
             self._shape_note,
@@ -92,14 +110,16 @@ class Panel:
         self._event_loop.call_soon_threadsafe(self._show_values, status)
 
     def _show_values(self, status: Status) -> None:
-        self._target.show_values(status)
+        for target in self._targets.values():
+            target.show_values(status)
         if not status.joint_control and time.monotonic() - self._joints_moved_at > _JOINT_SLIDERS_IDLE_S:
             for slider, angle in zip(self._joints, status.q, strict=True):
                 slider.value = round(float(angle), 3)
 
     def close(self) -> None:
         self._payload_worker.close()
-        self._reachability.close()
+        for panel in self._reachability:
+            panel.close()
         self.pictures.close()
         self._comparison.close()
 
@@ -182,11 +202,28 @@ class Panel:
         self._joint_command = self._session.arm.limits.clamp(q)
         self._session.move_joints(self._joint_command)
 
-    def _add_gripper(self) -> None:
+    def _add_tip_choice(self, choose: Callable[[str], None]) -> None:
+        """A list of several tips to choose from."""
+        tips = self._session.arm.tips
+        self._chosen = None
+        if len(tips) > 1:
+            self._chosen = self._gui.add_dropdown("tip", tips, hint="whose target and gripper are below; or drag its target")
+            on_value(self._chosen, choose)
+
+    def _in_tip_folders(self) -> Iterator[str]:
+        """The tips, each with the folder for its controls entered, if there are several."""
+        tips = self._session.arm.tips
+        for tip in tips:
+            if len(tips) > 1 and tip not in self._tip_folders:
+                self._tip_folders[tip] = self._gui.add_folder(tip)
+            with self._tip_folders.get(tip, contextlib.nullcontext()):
+                yield tip
+
+    def _add_gripper(self, tip: str) -> None:
         session = self._session
-        width = session.status.gripper_width
-        if width is None or session.gripper_width_max is None:
+        if tip not in session.gripper_width_max:
             return
-        max_mm = float(np.floor(1e3 * session.gripper_width_max))
-        slider = self._gui.add_slider("gripper, mm", 0.0, max_mm, 1.0, min(max_mm, float(round(1e3 * width))))
-        on_value(slider, lambda width_mm: session.grip(1e-3 * width_mm))
+        max_mm = float(np.floor(1e3 * session.gripper_width_max[tip]))
+        width_mm = min(max_mm, float(round(1e3 * session.status.gripper_widths[tip])))
+        slider = self._gui.add_slider("gripper, mm", 0.0, max_mm, 1.0, width_mm)
+        on_value(slider, lambda width: session.grip(1e-3 * width, tip))

@@ -1,4 +1,4 @@
-"""PlanPreview: a planned path of the tip, and the arm at its end as a ghost. RobotDrawing: a robot and its ghost."""
+"""PlanPreview: a planned path of the tips, and the arm at its end as a ghost. RobotDrawing: a robot and its ghost."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class PlanPreview:
         self._path: PlannedPath | None = None
         self._ghost = Ghost(server, arm, root)
         self._has_ghost = False
-        segments = np.zeros((PATH_POINTS - 1, 2, 3), np.float32)
+        segments = np.zeros((len(arm.tips) * (PATH_POINTS - 1), 2, 3), np.float32)
         self._line = server.scene.add_line_segments(
             f"{root}/plan", segments, _PATH_RGB, thickness=_PATH_THICKNESS_PX, thickness_units="screen", visible=False
         )
@@ -98,7 +98,8 @@ class PlanPreview:
             return
         with self._server.atomic():
             if path is not None and path is not self._path:
-                self._line.points = np.stack([path.tip[:-1], path.tip[1:]], axis=1).astype(np.float32)
+                ends = np.stack([path.tips[:, :-1], path.tips[:, 1:]], axis=2)
+                self._line.points = ends.reshape(-1, 2, 3).astype(np.float32)
             self._line.visible = path is not None
             self._ghost.show(path.q_end if path is not None and with_ghost else None)
         self._path = path
@@ -111,9 +112,8 @@ def _moving_bodies(arm: Arm) -> dict[int, trimesh.Trimesh]:
 
     model = decimated(arm.model, _GHOST_CELL)
     visible = model.geom_rgba[:, 3] > 0
-    first = model.jnt_bodyid[model.dof_jntid[arm.dof_adr[0]]]
-    moving = {int(first)}
-    for body in range(int(first) + 1, model.nbody):
+    moving = set(arm.moved_bodies)
+    for body in range(min(moving) + 1, model.nbody):
         if int(model.body_parentid[body]) in moving:
             moving.add(body)
     geoms = {body: np.flatnonzero(visible & (model.geom_bodyid == body)).tolist() for body in sorted(moving)}

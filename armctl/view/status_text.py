@@ -34,7 +34,7 @@ def describe(status: Status, *, is_held: bool = False) -> str:
             payload = f" and {status.payload:g} kg" if status.payload else ""
             return f"steady-state error {error_text(status.position_error)} with {status.controller}{payload}"
         case Activity.FOLLOWING:
-            reach = f"; {_out_of_reach(status)}" if status.reach_error is not None else ""
+            reach = f"; {_out_of_reach(status)}" if status.reach_errors else ""
             how = "following" if status.path is None else "on the planned path"
             to_go = f", {error_mm:.0f} mm to go" if error_mm >= 1.0 else ""
             return f"{how}{to_go}{reach}"
@@ -67,10 +67,13 @@ def describe_contacts(status: Status) -> str:
 
 
 def is_only_orientation_out_of_reach(status: Status) -> bool:
-    return status.reach_error is not None and status.reach_error < TOLERANCE
+    return bool(status.reach_errors) and max(status.reach_errors.values()) < TOLERANCE
 
 
 def _out_of_reach(status: Status) -> str:
-    if status.reach_error is None or is_only_orientation_out_of_reach(status):
+    if not status.reach_errors or is_only_orientation_out_of_reach(status):
         return "this orientation is out of reach here"
-    return f"out of reach by {length_text(status.reach_error)}"
+    if len(status.targets) == 1:
+        return f"out of reach by {length_text(max(status.reach_errors.values()))}"
+    far = {tip: error for tip, error in status.reach_errors.items() if error >= TOLERANCE}
+    return ", ".join(f"{tip} is out of reach by {length_text(error)}" for tip, error in far.items())

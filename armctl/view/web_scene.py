@@ -145,8 +145,8 @@ class WebScene:
         """Opens a browser at the page, where there is a screen. Returns whether a browser starts."""
         return open_browser(self._root + self._access.one_time_query())
 
-    def set(self, arm: Arm, others: Sequence[Arm] = (), *, with_marker: bool = True) -> None:
-        """Puts an arm at home on the page in place of the one there; the first view shows the others, too."""
+    def set(self, arm: Arm, *, with_marker: bool = True) -> None:
+        """Puts an arm at home on the page in place of the one there."""
         target = find_target(arm.model)
         hidden_body = -1 if with_marker or target is None else target
         figure = StickFigure(arm)
@@ -154,7 +154,7 @@ class WebScene:
         at_home.qpos[:] = arm.home_qpos
         mujoco.mj_kinematics(arm.model, at_home)
         sticks = Sticks(self.server.scene, "/sticks", figure.segments(at_home))  # they replace those of the arm before
-        self._set_camera(arm, others, at_home)
+        self._set_camera(arm, at_home)
         self.server.gui.set_panel_label(arm.name)
         self._await_meshes()
         self.server.flush()  # the stick figure is there at once; the meshes take longer
@@ -282,11 +282,12 @@ class WebScene:
                 self._drawing.sticks.move(self._drawing.figure.segments(data))
         self.server.flush()
 
-    def _set_camera(self, arm: Arm, others: Sequence[Arm], data: mujoco.MjData) -> None:
-        """Points the page's first view at the arms and the target, which are where a state of the model has them."""
+    def _set_camera(self, arm: Arm, data: mujoco.MjData) -> None:
+        """Points the page's first view at the arm and the target, which are where a state of the model has them."""
         model = arm.model
-        points = [data.xpos[model.dof_bodyid[other.dof_adr[0]]] for other in others]
-        points += [each.fk(each.home).position for each in (*others, arm)]
+        roots = {arm.joints_to(tip)[0] for tip in arm.tips}
+        points = [data.xpos[model.dof_bodyid[arm.dof_adr[joint]]] for joint in sorted(roots)] if arm.further_tips else []
+        points += [arm.fk(arm.home, tip).position for tip in arm.tips]
         target = find_target(model)
         handles = np.empty((0, 3))
         if target is not None:

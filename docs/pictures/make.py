@@ -203,7 +203,7 @@ def browser(arm: armctl.Arm, width: int, height: int) -> Iterator[Browser]:
     from armctl.view.page import Page
     from armctl.view.web_scene import WebScene
 
-    page = Page([arm], WebScene(0))
+    page = Page(arm, WebScene(0))
     threading.Thread(target=page.serve, daemon=True).start()
     software = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
     with sync_playwright() as playwright:

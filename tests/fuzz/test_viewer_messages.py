@@ -15,7 +15,7 @@ from viewer_client import CAMERA, connected, follows, open_page, until
 from armctl.view.realtime.status import Activity
 
 MESSAGES_IN_SUITE = 10_000
-GOAL = "/scene0/arm0/goal"
+GOAL = "/scene0/tip0/goal"
 ODD_VALUES = [
     None, True, False, 0, -1, 1, 2**31, 2**63, -(2**63), 0.0, 5e-324, 1e300, -1e308, float("nan"), float("inf"), "", "x",
     GOAL, "__class__", b"\0", [], [0.0], [1, 2, 3], [1, 2, 3, 4], [float("nan")] * 3, {}, {"value": 1}, {"removed": True},

@@ -17,6 +17,10 @@ def limb(names: str, inside: str = "", joint: str = "", extra: str = "") -> str:
     )
 
 
+def mjcf(bodies: str, rest: str = "") -> str:
+    return f'<mujoco model="trap"><compiler angle="radian" autolimits="true"/><worldbody>{bodies}</worldbody>{rest}</mujoco>'
+
+
 def motors(names: str, **more: str) -> str:
     """One motor a joint; `more` holds actuators instead, such as c='<position joint="c" kp="50"/>'."""
     lines = [more.get(name, f'<motor name="m_{name}" joint="{name}" ctrlrange="-20 20"/>') for name in names.split()]
@@ -35,10 +39,6 @@ def rotor_spring_link(names: str, stiffness: float, damping: float = 0.5, inerti
         f'<geom type="capsule" fromto="0 0 0 0.1 0 0.1" size="0.02" mass="0.5" contype="0" conaffinity="0"/>'
         f"{deeper}</body></body>"
     )
-
-
-def mjcf(bodies: str, rest: str = "") -> str:
-    return f'<mujoco model="trap"><compiler angle="radian" autolimits="true"/><worldbody>{bodies}</worldbody>{rest}</mujoco>'
 
 
 RIGID = 'solref="0.002 1" solimp="0.9999 0.9999 0.001 0.5 2"'
@@ -63,6 +63,24 @@ def tendon(**coefficients: float) -> str:
 PULL = '<motor name="m" tendon="cable" gear="3" ctrlrange="-20 20"/>'
 HAND = limb("a b", FINGERS)
 PAIR = limb("a b c") + limb("d e f").replace('pos="0.1 0 0.1"', 'pos="-0.5 0 0.1"', 1)  # two arms beside each other
+UPPER_LINK = '<geom type="capsule" fromto="0.06 0 0 0.26 0 0" size="0.02" mass="0.5"/>'
+
+
+def standing(side: str, y: float) -> str:
+    """An arm of four joints on a base, whose links can touch."""
+    joint = '<joint name="{0}{1}" axis="{2}" range="-2.6 2.6"/>'
+    wrist = f'<body pos="0.3 0 0">{joint.format(side, 4, "0 0 1")}{UPPER_LINK}<site name="{side}" pos="0.3 0 0"/></body>'
+    fore = f'<body pos="0.3 0 0">{joint.format(side, 3, "0 1 0")}{UPPER_LINK}{wrist}</body>'
+    upper = f'<body pos="0 0 0.1">{joint.format(side, 2, "0 1 0")}{UPPER_LINK}{fore}</body>'
+    shoulder = f'{joint.format(side, 1, "0 0 1")}<geom size="0.03" mass="0.5"/>{upper}'
+    return f'<body name="base_{side}" pos="0 {y} 0.4">{shoulder}</body>'
+
+
+_BOTH = standing("l", 0.25) + standing("r", -0.25)
+_TURN = '<joint name="turn" axis="0 0 1" range="-2 2"/><geom size="0.03" mass="2" contype="0" conaffinity="0"/>'
+_BOTH_MOTORS = "l1 l2 l3 l4 r1 r2 r3 r4"
+TWO_ARMS = mjcf(_BOTH, motors(_BOTH_MOTORS) + '<option timestep="0.001"/>')
+ON_A_TORSO = mjcf(f'<body name="torso">{_TURN}{_BOTH}</body>', motors(f"turn {_BOTH_MOTORS}") + '<option timestep="0.001"/>')
 GEARED = limb("a", limb("b c") + limb("drive"))
 SLIDES = limb("a s t u b").replace('name="s" axis="0 1 0"', 'name="s" type="slide" axis="1 0 0"')
 SLIDES = SLIDES.replace('name="t" axis="0 0 1"', 'name="t" type="slide" axis="1 0 0"')

@@ -6,7 +6,7 @@ import contextlib
 import http.client
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import msgspec
 import numpy as np
@@ -35,9 +35,9 @@ CAMERA = {
 
 
 @contextlib.contextmanager
-def open_page(arms: Sequence[Arm] = (), scenes: Scenes | None = None, **options) -> Iterator[Page]:
-    """A page with arms, by default with the bundled one, which is served until the end."""
-    page = Page(arms or [arm_of(BUNDLED)], WebScene(0, **options), scenes=scenes)
+def open_page(arm: Arm | None = None, scenes: Scenes | None = None, **options) -> Iterator[Page]:
+    """A page with an arm, by default the bundled one, which is served until the end."""
+    page = Page(arm or arm_of(BUNDLED), WebScene(0, **options), scenes=scenes)
     thread = threading.Thread(target=page.serve, daemon=True)
     thread.start()
     try:

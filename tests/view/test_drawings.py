@@ -94,15 +94,16 @@ def test_the_charts_show_millimetres_percents_and_the_age_of_each_sample(paper):
 
 def test_a_demonstration_that_something_blocks_ends_where_it_began():
     start = Pose([0.3, 0.0, 0.4])
-    status = SimpleNamespace(target=start, activity=Activity.AT_TARGET, paused=False)
+    status = SimpleNamespace(targets={"tip": start}, aimed=("tip",), activity=Activity.AT_TARGET, paused=False)
     aimed = []
 
-    def aim(target: Pose, held: bool = False) -> None:
+    def aim(target: Pose, tip: str, held: bool = False) -> None:
         aimed.append((target, held))
-        status.target = target
+        status.targets = {tip: target}
 
     model = SimpleNamespace(stat=SimpleNamespace(extent=1.0))
-    demonstration = Demonstration(SimpleNamespace(status=status, arm=SimpleNamespace(model=model), aim=aim))  # type: ignore[arg-type]
+    session = SimpleNamespace(status=status, arm=SimpleNamespace(model=model), hand_tip="tip", aim=aim)
+    demonstration = Demonstration(session)  # type: ignore[arg-type]
     demonstration.advance(0.0)
     demonstration.advance(2.0)
     assert aimed[-1][1], "the target goes round as if it were dragged"

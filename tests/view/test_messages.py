@@ -145,7 +145,7 @@ def test_a_client_changes_no_property_of_a_control(page, client):
 def test_a_wrong_pose_of_the_target_is_dropped(page, client, pose: dict):
     settled(page, client)
     target = page.session.status.target
-    message = {"name": "/scene0/arm0/goal", "wxyz": [1, 0, 0, 0], "position": [0.9, 0.9, 0.9], "owner": ""}
+    message = {"name": "/scene0/tip0/goal", "wxyz": [1, 0, 0, 0], "position": [0.9, 0.9, 0.9], "owner": ""}
     client.send({"type": "TransformControlsUpdateMessage"} | message | pose)
     client.send(CAMERA)
     client.set(page, "simulation speed", 0.75)
@@ -155,7 +155,7 @@ def test_a_wrong_pose_of_the_target_is_dropped(page, client, pose: dict):
 
 
 def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, client):
-    message = {"name": "/scene0/arm0/goal", "wxyz": [1, 0, 0, 0], "position": [1e300, 0, 0], "owner": ""}
+    message = {"name": "/scene0/tip0/goal", "wxyz": [1, 0, 0, 0], "position": [1e300, 0, 0], "owner": ""}
     client.send({"type": "TransformControlsUpdateMessage"} | message)
     until(lambda: page.session.status.target.position[0] == MAX_COORDINATE_M, "it is not limited")
     until(lambda: page.session.status.activity is Activity.OUT_OF_REACH, "it is not called out of reach")
@@ -252,7 +252,7 @@ def test_a_screenshot_and_a_film_are_offered_for_download(page, client, monkeypa
 
 
 def test_the_points_that_the_arm_reaches_are_shown_and_hidden(page, client):
-    panel = page.panel._reachability
+    (panel,) = page.panel._reachability
     client.set(page, "reachable points", True)
     until(lambda: panel._points is not None and panel._points.visible, "the points are not shown")
     until(lambda: re.fullmatch(r"\d+ of \d+ points reached, .* m\^3\.", panel._text.content), "no number of points")
@@ -264,11 +264,12 @@ def test_the_points_that_the_arm_reaches_are_shown_and_hidden(page, client):
 
 def test_a_target_whose_holder_leaves_is_released(page, client):
     with connected(page) as holder:
-        drag = {"type": "TransformControlsDragStartMessage", "name": "/scene0/arm0/goal", "owner": ""}
+        drag = {"type": "TransformControlsDragStartMessage", "name": "/scene0/tip0/goal", "owner": ""}
         until(lambda: len(page.scene.server.get_clients()) == 2, "the second client is not connected")
         holder.send(drag)
         until(lambda: page.is_target_held, "the target is not held")
     until(lambda: not page.is_target_held, "the target is still held")
+    until(lambda: not page.session._follower.task.held, "the session still waits for its release")
     follows(page, client)
 
 
@@ -283,14 +284,14 @@ def test_two_clients_that_drag_at_once_leave_a_target_that_one_of_them_set(page,
     with connected(page) as other:
         until(lambda: len(page.scene.server.get_clients()) == 2, "the second client is not connected")
         for each in (client, other):
-            each.send({"type": "TransformControlsDragStartMessage", "name": "/scene0/arm0/goal", "owner": ""})
+            each.send({"type": "TransformControlsDragStartMessage", "name": "/scene0/tip0/goal", "owner": ""})
         for k, position in enumerate(sent):
-            message = {"type": "TransformControlsUpdateMessage", "name": "/scene0/arm0/goal", "owner": ""}
+            message = {"type": "TransformControlsUpdateMessage", "name": "/scene0/tip0/goal", "owner": ""}
             message |= {"wxyz": [1.0, 0.0, 0.0, 0.0], "position": position.tolist()}
             (client, other)[k % 2].send(message)
             seen.append(session.status.target.position)
         for each in (client, other):
-            each.send({"type": "TransformControlsDragEndMessage", "name": "/scene0/arm0/goal", "owner": ""})
+            each.send({"type": "TransformControlsDragEndMessage", "name": "/scene0/tip0/goal", "owner": ""})
         until(lambda: not page.is_target_held, "the target is still held")
     allowed = np.array([start, *sent])
     assert all(np.abs(allowed - position).max(axis=1).min() < 1e-6 for position in seen)
@@ -315,7 +316,7 @@ def test_a_disabled_button_cannot_be_pressed(page, client, monkeypatch: pytest.M
 def test_a_failure_while_drawing_or_writing_does_not_end_the_page(page, client, monkeypatch: pytest.MonkeyPatch, caplog):
     calls = []
 
-    def broken(*args) -> None:
+    def broken(*args, **options) -> None:
         calls.append(args)
         raise RuntimeError("a defect")
 
@@ -334,7 +335,7 @@ def test_a_failed_session_is_shown_and_reset_repairs_it(page, client, monkeypatc
         patch.setattr(page.session._follower, "advance", broken)
         until(lambda: page.session.status.activity is Activity.FAILED, "the failure is not noticed")
         until(lambda: "ZeroDivisionError: a defect" in page.scene.text.content, "the page does not show the failure")
-        assert "at the target" not in page._controls.shown._label.text
+        assert "at the target" not in page._controls._label.text
     assert page.session._thread is not None
     assert page.session._thread.is_alive()
     client.set(page, "time", "reset")

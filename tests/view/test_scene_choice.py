@@ -14,7 +14,7 @@ from viewer_client import connected, control_id, follows, open_page, until
 
 from armctl import InputError
 from armctl.cli.main import command_parser
-from armctl.cli.view import loaded_arms, run, scenes_by_name
+from armctl.cli.view import loaded_arm, run, scenes_by_name
 
 BOX = '<mujoco><worldbody><geom name="box" type="box" size=".05 .05 .05" pos="0 0.6 0.1"/></worldbody></mujoco>'
 BALL = '<mujoco><worldbody><body name="ball" pos="0 -0.6 0.05"><freejoint/><geom size="0.05"/></body></worldbody></mujoco>'
@@ -40,7 +40,7 @@ def test_the_native_window_shows_one_scene():
 
 def test_a_chosen_scene_replaces_everything_and_a_failure_leaves_the_present_one(paths: list[str]):
     args = command_parser().parse_args(["view", BUNDLED, *(word for path in paths for word in ("--scene", path))])
-    scenes = {name: functools.partial(loaded_arms, args, path) for name, path in scenes_by_name(args.scene).items()}
+    scenes = {name: functools.partial(loaded_arm, args, path) for name, path in scenes_by_name(args.scene).items()}
     allowed = threading.Event()
     load_alone = scenes["none"]
     scenes["none"] = lambda: allowed.wait() and load_alone()
@@ -65,8 +65,8 @@ def test_a_chosen_scene_replaces_everything_and_a_failure_leaves_the_present_one
         assert second.arm.model.body("ball").id > 0
         assert page.scene._drawing.model.nq == second.arm.model.nq == len(second.status.qpos)
         until(lambda: not first._thread.is_alive(), "the first session does not end")
-        until(lambda: "/scene0/arm0/goal" not in server.scene._handle_from_node_name, "the first target remains")
-        assert "/scene1/arm0/goal" in server.scene._handle_from_node_name
+        until(lambda: "/scene0/tip0/goal" not in server.scene._handle_from_node_name, "the first target remains")
+        assert "/scene1/tip0/goal" in server.scene._handle_from_node_name
         until(lambda: payload_sliders() == 1, "the first panel remains")
 
         choose("missing.xml")

@@ -25,7 +25,7 @@ from armctl.model.mjmodel.queries import (
     is_below,
     last_joint_above,
     name_of,
-    object_id,
+    number_of,
     stands_alone,
 )
 
@@ -355,11 +355,11 @@ def allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> se
 
 
 def _geoms_named(model: mujoco.MjModel, name: str) -> list[int]:
-    """The geoms of a body and of those below it, or the geom of that name."""
-    body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    """The geoms of a body and of those below it, or the geom of that name; "body3" is a nameless one, as in messages."""
+    body = number_of(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body >= 0:
         return [geom for geom in range(model.ngeom) if is_below(model, int(model.geom_bodyid[geom]), body)]
-    geom = object_id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
+    geom = number_of(model, mujoco.mjtObj.mjOBJ_GEOM, name)
     if geom < 0:
         bodies = [model.body(i).name for i in range(1, model.nbody)]
         geoms = [model.geom(i).name for i in range(model.ngeom)]

@@ -35,6 +35,15 @@ def object_id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
         return -1
 
 
+def number_of(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    """The number of a body or geom by what `name_of` calls it; -1 if there is none."""
+    found = object_id(model, kind, name)
+    count = model.nbody if kind == mujoco.mjtObj.mjOBJ_BODY else model.ngeom
+    if found < 0 and name[-1:].isdecimal():
+        return next((index for index in range(count) if name_of(model, kind, index) == name), -1)
+    return found
+
+
 def body_named(model: mujoco.MjModel, name: str) -> int:
     """The number of the body of a name; UnknownNameError if there is none."""
     body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)

@@ -1,5 +1,6 @@
-"""RealTimeSession: an arm that follows a target in real time, in its own thread, under commands of other threads."""
+"""RealTimeSession: an arm whose tips follow targets in real time, in its own thread, under commands of other threads."""
 
+import contextlib
 import logging
 import threading
 import time
@@ -16,7 +17,7 @@ from armctl.core.defaults import AT_REST_SPEED
 from armctl.core.errors import ModelError, UnknownNameError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
-from armctl.core.target import TOLERANCE, Target
+from armctl.core.target import TOLERANCE
 from armctl.core.validation import Array, frozen, instance, number, vector
 from armctl.model.arm.arm import Arm
 from armctl.model.collision.checkers import collision_checker
@@ -24,7 +25,7 @@ from armctl.model.mjmodel.queries import contact_forces
 from armctl.model.mjmodel.target_marker import find_target, target_pose
 from armctl.plan.ik.solve import solve_ik
 from armctl.run.execution.drive import hold_reference
-from armctl.run.execution.obstacles import Obstacles
+from armctl.run.execution.obstacles import Obstacles, touched_at_home
 from armctl.run.sim.gripper.gripper import Gripper
 from armctl.run.sim.plant import Plant
 from armctl.run.sim.stepper import Stepper
@@ -58,20 +59,21 @@ class RealTimeSession:
         self._stepper = Stepper(arm, Plant(payload=self._payload))
         self._ticks = max(1, round(UPDATE_INTERVAL_S / self._stepper.dt))
         self._interval = self._ticks * self._stepper.dt
-        self._follower = TargetFollower(arm, self._stepper.dt, Obstacles(arm, self._stepper.data))
-        # The velocity at which a hand moves the target now, m/s and rad/s in world axes; None if none does.
+        self._follower = TargetFollower(arm, self._stepper.dt, self._obstacles())
+        # The velocity at which a hand moves a target now, m/s and rad/s in world axes; None if none does.
         self.hand: Callable[[], tuple[Array, Array] | None] = lambda: None
+        self.hand_tip = _highest_tip(arm)  # whose target that is
         self._speed_override = 1.0
         self._clock = RealTimeClock()
         self.history = History(arm.n, self._interval)  # errors and torques of the last seconds
-        self._gripper = self._gripper_of(self._stepper)
-        self.gripper_width_max = None if self._gripper is None else self._gripper.width_max  # m; None without a gripper
+        self._grippers = self._grippers_of(self._stepper)
+        self.gripper_width_max = {tip: gripper.width_max for tip, gripper in self._grippers.items()}  # m, by tip
         self._commands: dict[str, Callable[[], None]] = {}
         self._commands_lock = threading.Lock()
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
         self._paused = False
-        self.is_standing_by = False  # whether the session stands for another one
+        self.is_standing_by = False
         self._elapsed = 0.0
         self._failure = ""
         self._restart()
@@ -82,24 +84,24 @@ class RealTimeSession:
         """The session after its last update."""
         return self._status
 
-    def aim(self, target: Pose, *, held: bool = False) -> None:
-        """Moves the tip to a target, T_world_tip; while it is held, as when dragged, no path around obstacles is planned."""
+    def aim(self, target: Pose, *, tip: str | None = None, held: bool = False) -> None:
+        """Moves a tip, by default the first one, to a target, T_world_tip.
+
+        While it is held, as when dragged, no path around obstacles is planned. Targets of other tips stay as they are.
+        """
         instance("target", target, Pose, "give Pose(position, quat)")
-        self._command("goal", lambda: self._follower.aim(target, held))
+        name = self._tip(tip)
+        self._command(f"target of {name}", lambda: self._follower.aim(target, name, held))
 
     def move_joints(self, q: Array) -> None:
-        """Moves the joints to q (n,) rad, clamped to their limits; the target follows the tip."""
+        """Moves the joints to q (n,) rad, clamped to their limits; the targets follow the tips."""
         q = self.arm.limits.clamp(vector("q", q, self.arm.n))
-        self._command("goal", lambda: self._follower.move_joints(q))
+        self._command("joints", lambda: self._follower.move_joints(q))
 
-    def set_oriented(self, oriented: bool) -> None:
-        """Chooses whether the target's orientation is part of the goal."""
-
-        def change() -> None:
-            self._follower.oriented = bool(oriented)
-            self._follower.aim(self._follower.target)
-
-        self._command("orientation", change)
+    def set_oriented(self, oriented: bool, tip: str | None = None) -> None:
+        """Chooses whether the orientation of a tip's target is part of the goal; by default of the first one."""
+        name = self._tip(tip)
+        self._command(f"orientation of {name}", lambda: self._follower.set_oriented(name, bool(oriented)))
 
     def set_avoiding(self, avoiding: bool) -> None:
         """Chooses whether the arm avoids contact with itself and the scene."""
@@ -135,20 +137,25 @@ class RealTimeSession:
             stepper.data.qpos[:] = self._stepper.data.qpos
             self._stepper = stepper
             self._payload = payload
-            self._gripper = self._gripper_of(stepper)
-            self._follower.avoidance.obstacles = Obstacles(self.arm, stepper.data)
+            self._grippers = self._grippers_of(stepper)
+            self._follower.avoidance.obstacles = self._obstacles()
 
         self._command("payload", change)
 
-    def grip(self, width: float) -> None:
-        """Moves the gripper to a width between the pads, m, clamped to its range; the arm holds its position meanwhile."""
+    def grip(self, width: float, tip: str | None = None) -> None:
+        """Moves the gripper at a tip, by default the first one, to a width between the pads, m, clamped to its range.
+
+        The arm holds its position meanwhile.
+        """
         width = number("width", width)
+        name = self._tip(tip)
 
         def move() -> None:
-            if self._gripper is not None and not self._paused:
-                self._gripper.move(min(max(width, 0.0), self._gripper.width_max))
+            gripper = self._grippers.get(name)
+            if gripper is not None and not self._paused:
+                gripper.move(min(max(width, 0.0), gripper.width_max))
 
-        self._command("gripper", move)
+        self._command(f"gripper of {name}", move)
 
     def set_speed(self, speed: float) -> None:
         """Changes how many simulated seconds pass in a second, in [0.001, 1000]."""
@@ -163,7 +170,7 @@ class RealTimeSession:
         self._command("pause", change)
 
     def reset(self, keyframe: str = "") -> None:
-        """Puts everything at home, at rest, with the first target, or at one of `keyframes`, with the target at the tip.
+        """Puts everything at home, at rest, with the first target, or at one of `keyframes`, with the targets at the tips.
 
         It also ends DIVERGED and FAILED.
         """
@@ -177,22 +184,12 @@ class RealTimeSession:
         self._command("reset", restart)
 
     def stand_by(self, standing_by: bool) -> None:
-        """Stops the session while another one moves another arm of the same robot, or lets it go on."""
+        """Stops the session, which still takes commands, or lets it go on."""
 
         def change() -> None:
             self.is_standing_by = bool(standing_by)
 
         self._command("stand by", change)
-
-    def continue_from(self, qpos: Array) -> None:
-        """Goes on where another session left the model, (nq,) positions: at rest there, with the target at the tip."""
-        qpos = vector("qpos", qpos, self.arm.model.nq)
-
-        def change() -> None:
-            self._rest_at(qpos)
-            self._status = self._observed(self._follower.reference.q)
-
-        self._command("reset", change)
 
     def prepare(self) -> None:
         """Loads what the first motion needs, which takes up to some seconds."""
@@ -235,9 +232,8 @@ class RealTimeSession:
             command()
         if self._paused or self.is_standing_by or self._failure or self._stepper.failure:
             return False
-        self._follower.jog(self.hand(), self._interval * self._speed_override)
-        held = "" if self._gripper is None else self._gripper.held
-        reference = self._follower.advance(self._ticks, {held: self.arm.tip_body} if held else {})
+        self._follower.jog(self.hand_tip, self.hand(), self._interval * self._speed_override)
+        reference = self._follower.advance(self._ticks, self._held_bodies())
         self._stepper.run(self._controller, reference, self._stepper.recorder())  # each record is thrown away
         self._elapsed += self._interval
         self._status = self._observed(self._follower.reference.q)
@@ -272,7 +268,8 @@ class RealTimeSession:
         """The attributes of the status that change without time."""
         return {
             "failure": self._failure or self._stepper.failure,
-            "target": self._follower.target,
+            "targets": self._follower.targets,
+            "aimed": self._follower.aimed,
             "oriented": self._follower.oriented,
             "joint_control": self._follower.joint_control,
             "avoiding": self._follower.avoidance.is_on,
@@ -288,11 +285,28 @@ class RealTimeSession:
             self._commands.pop(kind, None)
             self._commands[kind] = command
 
-    def _gripper_of(self, stepper: Stepper) -> Gripper | None:
-        try:
-            return Gripper(self.arm, stepper, self._hold)
-        except ModelError:
-            return None
+    def _tip(self, tip: str | None) -> str:
+        """A tip's name, checked; the first tip's if none is given."""
+        if tip is not None and tip not in self.arm.tips:
+            raise UnknownNameError.from_known("tip", tip, self.arm.tips)
+        return self.arm.tip if tip is None else tip
+
+    def _obstacles(self) -> Obstacles:
+        return Obstacles(self.arm, self._stepper.data, touched_at_home(self.arm))
+
+    def _grippers_of(self, stepper: Stepper) -> dict[str, Gripper]:
+        """The grippers by tip."""
+        found = {}
+        for tip in self.arm.tips:
+            with contextlib.suppress(ModelError):
+                found[tip] = Gripper(self.arm, stepper, self._hold, tip)
+        return found
+
+    def _held_bodies(self) -> dict[str, int]:
+        """The loose bodies that grippers hold, and which body of the arm each goes with."""
+        held = {gripper.held: self.arm.tip_frames[self.arm.tips.index(tip)].body for tip, gripper in self._grippers.items()}
+        held.pop("", None)
+        return held
 
     def _hold(self, seconds: float) -> None:
         if self._stopping.is_set():
@@ -304,14 +318,17 @@ class RealTimeSession:
 
     def _restart(self, keyframe: str = "") -> None:
         arm = self.arm
-        if self._gripper is not None:
-            self._gripper.reset()
+        for gripper in self._grippers.values():
+            gripper.reset()
         stepper = self._stepper
         self._failure = ""
         if keyframe:
             self._rest_at(arm.model.key_qpos[self.keyframes.index(keyframe)])
             return
         stepper.reset(arm.home, np.zeros(arm.n))
+        if arm.further_tips:
+            self._follower.stand(arm.home, arm.home)
+            return
         tip = stepper.tip_pose(arm)
         start = target_pose(stepper.model, stepper.data).position if find_target(stepper.model) is not None else tip.position
         if self._follower.oriented:
@@ -322,7 +339,7 @@ class RealTimeSession:
         self._follower.stand(arm.home, goal)
 
     def _rest_at(self, qpos: Array) -> None:
-        """Puts the whole model at positions (nq,), at rest, with the target at the tip."""
+        """Puts the whole model at positions (nq,), at rest, with the targets at the tips."""
         arm = self.arm
         stepper = self._stepper
         q = arm.limits.clamp(qpos[arm.qpos_adr])
@@ -336,11 +353,12 @@ class RealTimeSession:
         """The status now; adds a sample to the history."""
         stepper = self._stepper
         state = stepper.state
-        tip = stepper.tip_pose(self.arm)
+        tips = {tip: stepper.tip_pose(self.arm, tip) for tip in self.arm.tips}
         follower = self._follower
-        goal = Target(follower.target.position, follower.target if follower.oriented else None)
-        position_error, _ = goal.distance(tip)
-        reference_error = float(np.linalg.norm(tip.position - self.arm.fk(q_ref).position))
+        position_error = max(follower.errors(tips).values())
+        reference_error = max(
+            float(np.linalg.norm(pose.position - self.arm.fk(q_ref, tip).position)) for tip, pose in tips.items()
+        )
         self.history.add(position_error, reference_error, stepper.motor_torque / self.arm.motor_torque_limits)
         return Status(
             activity=self._activity(
@@ -349,13 +367,13 @@ class RealTimeSession:
                 arrived=bool(np.abs(q_ref - follower.joint_goal).max() < _REFERENCE_ARRIVED) and follower.reference.is_at_rest,
             ),
             position_error=position_error,
-            reach_error=follower.task.reach_error,
+            reach_errors=follower.task.reach_errors,
             refusal=follower.task.refusal,
             path=follower.task.path,
             contacts=frozen(contact_forces(stepper.model, stepper.data)),
             q=frozen(state.q.copy()),
             qpos=frozen(stepper.data.qpos.copy()),
-            gripper_width=None if self._gripper is None else self._gripper.width,
+            gripper_widths={tip: gripper.width for tip, gripper in self._grippers.items()},
             elapsed=self._elapsed,
             real_time_factor=self._clock.real_time_factor,
             **self._settings(),
@@ -372,13 +390,19 @@ class RealTimeSession:
             return Activity.PLANNING
         if self._follower.task.refusal:
             return Activity.BLOCKED
-        if self._follower.task.reach_error is not None and arrived:
+        if self._follower.task.reach_errors and arrived:
             return Activity.OUT_OF_REACH
         if position_error <= TOLERANCE and at_rest:
             return Activity.AT_TARGET
         if arrived and at_rest:
             return Activity.SAGGING
         return Activity.FOLLOWING
+
+
+def _highest_tip(arm: Arm) -> str:
+    """The tip that is highest at home: lower ones may be feet."""
+    heights = {tip: round(float(arm.fk(arm.home, tip).position[2]), 3) for tip in arm.tips}
+    return max(arm.tips, key=heights.__getitem__)
 
 
 class _StoppedError(Exception):

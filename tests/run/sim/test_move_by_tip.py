@@ -6,32 +6,17 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MISSING, at_hand
-from synthetic import limb, mjcf, motors
+from synthetic import TWO_ARMS, limb, mjcf, motors
 
 import armctl
 from armctl import STAY, Pose, RelativeTo
 
 pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
 
-LINK = '<geom type="capsule" fromto="0.06 0 0 0.26 0 0" size="0.02" mass="0.5"/>'
-
-
-def standing(side, y):
-    """An arm of four joints on a base."""
-    joint = '<joint name="{0}{1}" axis="{2}" range="-2.6 2.6"/>'
-    wrist = f'<body pos="0.3 0 0">{joint.format(side, 4, "0 0 1")}{LINK}<site name="{side}" pos="0.3 0 0"/></body>'
-    fore = f'<body pos="0.3 0 0">{joint.format(side, 3, "0 1 0")}{LINK}{wrist}</body>'
-    upper = f'<body pos="0 0 0.1">{joint.format(side, 2, "0 1 0")}{LINK}{fore}</body>'
-    shoulder = f'{joint.format(side, 1, "0 0 1")}<geom size="0.03" mass="0.5"/>{upper}'
-    return f'<body name="base_{side}" pos="0 {y} 0.4">{shoulder}</body>'
-
-
-TWO = mjcf(standing("l", 0.25) + standing("r", -0.25), motors("l1 l2 l3 l4 r1 r2 r3 r4") + '<option timestep="0.001"/>')
-
 
 @pytest.fixture
 def simulation():
-    return armctl.Simulation(armctl.load(mujoco.MjSpec.from_string(TWO)))
+    return armctl.Simulation(armctl.load(mujoco.MjSpec.from_string(TWO_ARMS)))
 
 
 def site(simulation, name):

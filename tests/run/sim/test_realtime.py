@@ -64,7 +64,7 @@ def test_what_is_out_of_reach_is_said_and_the_arm_comes_to_rest(name: str):
     session.aim(Pose(far, quat=session.status.target.quat))
     go(session, 20.0 if name == "gantry" else 8.0)
     assert session.status.activity is Activity.OUT_OF_REACH
-    assert session.status.reach_error == pytest.approx(tip_error(session), rel=0.01, abs=2e-3)
+    assert session.status.reach_errors == {session.arm.tip: pytest.approx(tip_error(session), rel=0.01, abs=2e-3)}
     before = session.status.q
     go(session, 0.5)
     assert np.abs(session.status.q - before).max() < 1e-3
@@ -139,16 +139,17 @@ def test_the_joints_can_be_steered_and_the_target_follows():
 def test_the_gripper_moves_while_the_arm_holds_its_place():
     session = RealTimeSession(arm_of("panda"))
     go(session, 2.0)
-    assert session.status.gripper_width is not None
-    assert RealTimeSession(arm_of(BUNDLED)).status.gripper_width is None
+    tip = session.arm.tip
+    assert list(session.status.gripper_widths) == [tip]
+    assert not RealTimeSession(arm_of(BUNDLED)).status.gripper_widths
     for width in (0.02, 0.06):
         session.grip(width)
         go(session, 0.1)
-        assert session.status.gripper_width == pytest.approx(width, abs=2e-3)
+        assert session.status.gripper_widths[tip] == pytest.approx(width, abs=2e-3)
         assert tip_error(session) < 1e-3
     session.set_payload(0.5)
     go(session, 0.1)
-    assert session.status.gripper_width == pytest.approx(0.06, abs=2e-3)
+    assert session.status.gripper_widths[tip] == pytest.approx(0.06, abs=2e-3)
     session.reset()
     go(session, 4.0)
     assert session.status.activity is Activity.SAGGING  # under 0.5 kg that the controller does not know
@@ -246,7 +247,7 @@ def test_a_wrong_command_is_refused_at_once_and_changes_nothing(method: str, val
     assert session.status.activity is Activity.AT_TARGET
 
 
-@pytest.mark.parametrize("broken", ["_controller", "_follower.reference", "_follower._ik", "_gripper"])
+@pytest.mark.parametrize("broken", ["_controller", "_follower.reference", "_follower._ik", "_grippers"])
 def test_a_defect_anywhere_is_reported_and_reset_repairs_the_session(broken: str, monkeypatch, caplog):
     session = RealTimeSession(arm_of("panda"))
 
@@ -312,13 +313,13 @@ def test_stopping_does_not_wait_for_the_gripper():
     session = RealTimeSession(arm_of("panda"))
     session.start()
     session.grip(0.0)
-    while session.status.gripper_width is None or session.status.gripper_width > 0.07:
+    while session.status.gripper_widths[session.arm.tip] > 0.07:
         time.sleep(0.001)
     session.stop()
     assert session._thread is not None
     session._thread.join(timeout=60.0)
     assert not session._thread.is_alive()
-    assert session.status.gripper_width > 0.0
+    assert session.status.gripper_widths[session.arm.tip] > 0.0
 
 
 def test_the_clock_keeps_time_and_catches_up():
@@ -369,7 +370,7 @@ def test_each_activity_has_its_sentence(activity: Activity):
         activity=activity,
         failure="a defect" if activity in (Activity.DIVERGED, Activity.FAILED) else "",
         position_error=0.012,
-        reach_error=0.034 if activity is Activity.OUT_OF_REACH else None,
+        reach_errors={"tip": 0.034} if activity is Activity.OUT_OF_REACH else {},
         refusal="wall and link would touch" if activity is Activity.BLOCKED else "",
         controller="pd",
         payload=2.0,
@@ -401,5 +402,5 @@ def test_a_tip_within_a_millimetre_of_a_moving_target_has_nothing_to_go():
 
 def test_an_unreachable_orientation_has_its_sentence():
     status = RealTimeSession(arm_of(BUNDLED)).status
-    status = replace(status, activity=Activity.FOLLOWING, reach_error=0.0, position_error=0.012)
+    status = replace(status, activity=Activity.FOLLOWING, reach_errors={"tip": 0.0}, position_error=0.012)
     assert describe(status) == "following, 12 mm to go; this orientation is out of reach here"

@@ -71,13 +71,13 @@ def test_a_target_that_is_dragged_through_a_wall_is_followed_around_it_after_it_
     watched.go(0.3)
     path = watched.session.status.path
     assert path is not None
-    assert path.tip.shape == (100, 3)
+    assert path.tips.shape == (1, 100, 3)
     assert watched.session._follower.reference.is_on_planned_path
     watched.go(6.0)
     status = watched.session.status
     assert status.activity is Activity.AT_TARGET
     np.testing.assert_allclose(watched.arm.fk(status.q).position, OPPOSITE, atol=1e-3)
-    np.testing.assert_allclose(path.tip[-1], OPPOSITE, atol=1e-3)
+    np.testing.assert_allclose(path.tips[0, -1], OPPOSITE, atol=1e-3)
     assert watched.nearest > 0.0
 
 
