@@ -15,14 +15,14 @@ from armctl.view.plan_preview import PlanPreview
 from armctl.view.realtime.session import RealTimeSession
 from armctl.view.realtime.status import Activity
 from armctl.view.status_text import describe
-from armctl.view.target_controls import TargetControls
+from armctl.view.target_controls import TargetControls, gizmo_size
 from armctl.view.web_scene import WebScene
 
 if TYPE_CHECKING:
     import viser
 
 
-_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.18])  # above the handle of the z axis
+_LABEL_OFFSET = np.array([0.0, 0.0, 1.2])  # of the size of the handles: above that of the z axis
 
 
 class SceneControls:
@@ -44,8 +44,9 @@ class SceneControls:
             tip: TargetControls(server, session, f"{root}/tip{k}", tip, self.choose) for k, tip in enumerate(arm.tips)
         }
         self._trails = [TipTrail(server.scene, position, f"{root}/tip{k}") for k, position in enumerate(self._tips(status.q))]
+        self._label_offset = gizmo_size(arm) * _LABEL_OFFSET
         self._label = server.scene.add_label(
-            f"{root}/status", describe(status), position=status.target.position + _LABEL_OFFSET_M, anchor="bottom-center"
+            f"{root}/status", describe(status), position=status.target.position + self._label_offset, anchor="bottom-center"
         )
         self._labelled: Pose | None = None
         self._preview = PlanPreview(server, arm, root)
@@ -76,7 +77,7 @@ class SceneControls:
         labelled = status.targets[self.session.hand_tip]
         if labelled is not self._labelled:
             self._labelled = labelled
-            self._label.position = labelled.position + _LABEL_OFFSET_M
+            self._label.position = labelled.position + self._label_offset
 
     def write(self, notice: str = "") -> None:
         """Writes what the session does, below a notice of the page, and updates the panel."""

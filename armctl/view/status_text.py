@@ -29,7 +29,8 @@ def describe(status: Status, *, is_held: bool = False) -> str:
         case Activity.OUT_OF_REACH:
             return _out_of_reach(status)
         case Activity.AT_TARGET:
-            return f"at the target, error {error_text(status.position_error)}"
+            targets = "targets" if len(status.aimed) > 1 else "target"
+            return f"at the {targets}, error {error_text(status.position_error)}"
         case Activity.SAGGING:
             payload = f" and {status.payload:g} kg" if status.payload else ""
             return f"steady-state error {error_text(status.position_error)} with {status.controller}{payload}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from armctl.core.pose import Pose, computed_pose
 from armctl.core.validation import Array
+from armctl.model.arm.arm import Arm
 from armctl.view.realtime.session import RealTimeSession
 from armctl.view.realtime.status import Status
 
@@ -17,7 +19,8 @@ if TYPE_CHECKING:
     import viser
 
 GIZMO_SIZE_M = 0.15
-_BALL_RADIUS_M = 0.015
+_MIN_GIZMO_SIZE_M = 0.03
+_BALL_SIZE = 0.1  # radius, of that of the handles
 _BALL_RGB = (0, 200, 0)
 _DECIMALS = 4  # of the fields; the browser shows three
 _ROUNDING = 5e-5
@@ -46,8 +49,9 @@ class TargetControls:
         self._undo: deque[Pose] = deque(maxlen=_MAX_UNDO)
         self._has_world_axes = True
         self._grip = self._drawn_target  # the target's pose where the handles were put last
-        self._gizmo = server.scene.add_transform_controls(f"{root}/goal", scale=GIZMO_SIZE_M, depth_test=False)
-        server.scene.add_icosphere(f"{root}/goal/ball", _BALL_RADIUS_M, _BALL_RGB, opacity=0.5, cast_shadow=False)
+        size = gizmo_size(session.arm)
+        self._gizmo = server.scene.add_transform_controls(f"{root}/goal", scale=size, depth_test=False)
+        server.scene.add_icosphere(f"{root}/goal/ball", _BALL_SIZE * size, _BALL_RGB, opacity=0.5, cast_shadow=False)
         self._place_gizmo(self._drawn_target)
         self._gizmo.on_update(self._dragged)
 
@@ -146,6 +150,13 @@ class TargetControls:
         self._grip = target
         self._gizmo.position = target.position
         self._gizmo.wxyz = _IDENTITY_QUAT if self._has_world_axes else target.quat
+
+
+def gizmo_size(arm: Arm) -> float:
+    """The size of handles, m: those of neighboring tips at home do not overlap, as far as they can still be dragged."""
+    places = [arm.fk(arm.home, tip).position for tip in arm.tips]
+    gaps = [float(np.linalg.norm(one - other)) for one, other in itertools.combinations(places, 2)]
+    return min(max(0.5 * min(gaps, default=np.inf), _MIN_GIZMO_SIZE_M), GIZMO_SIZE_M)
 
 
 def on_value(control: Any, take: Callable[[Any], object]) -> None:
