@@ -1,4 +1,6 @@
 // What the numbers of a policy's action do: they move joint targets, which a reference approaches, or they are torques.
+//
+// A cartesian action has one block of numbers for each tip. The tips are moved together: they may share joints, such as a torso.
 #pragma once
 #include "dynamics.hpp"
 #include "errors.hpp"
@@ -26,6 +28,13 @@ struct ActionLimits {
     }
 };
 
+// A tip, and its block of a cartesian action.
+struct ActionTip {
+    CarriedFrame frame;
+    size_t size = 3;    // numbers of its block: 3 of the position, or 6 with the rotation
+    Pose T_world_home;  // where cartesian poses begin
+};
+
 // Numbers of an action are in [-1, 1].
 struct ActionOptions {
     ActionMode mode = ActionMode::torque;
@@ -39,15 +48,30 @@ struct ActionOptions {
     size_t smoothing = 1;              // ticks over which the reference is averaged
     double approach_rate = 0.0;        // 1/s, at which a reference approaches its target near the end
     double tip_damping = 0.0;          // of the inverse Jacobian, squared
-    Pose T_world_home;                 // of the tip, where cartesian poses begin
+    std::vector<ActionTip> tips;       // at least one
 
-    // Throws InputError if an arm of n joints cannot act so.
-    void check(size_t n) const {
-        const bool is_cartesian = mode == ActionMode::cartesian_delta || mode == ActionMode::cartesian_pose;
-        const bool has_right_size = is_cartesian ? size == 3 || size == 6 : size == n;
+    bool is_cartesian() const { return mode == ActionMode::cartesian_delta || mode == ActionMode::cartesian_pose; }
+
+    // The numbers of a cartesian action.
+    size_t tip_numbers() const {
+        size_t sum = 0;
+        for (const ActionTip& tip : tips) { sum += tip.size; }
+        return sum;
+    }
+
+    // Throws InputError if an arm of n driven joints, m in all, cannot act so.
+    void check(size_t n, size_t m) const {
+        const bool has_right_size = size == (is_cartesian() ? tip_numbers() : n);
         if (!has_right_size || limits.size() != n || ticks == 0 || smoothing == 0 || !(dt > 0.0)) {
-            throw InputError("action: need a number for each joint, or 3 or 6 for the tip; and a positive dt, ticks and smoothing");
+            throw InputError("action: need a number for each joint, or a block for each tip; and a positive dt, ticks and smoothing");
         }
+        for (const ActionTip& tip : tips) {
+            if (tip.size != 3 && tip.size != 6) { throw InputError("tip_sizes: need 3 or 6 numbers for each tip"); }
+            if (tip.frame.joint < -1 || tip.frame.joint >= static_cast<int>(m)) {
+                throw InputError("tip_joints: need -1 or one of " + std::to_string(m) + " joints, got " + std::to_string(tip.frame.joint));
+            }
+        }
+        if (tips.empty()) { throw InputError("tip_joints: need at least one tip"); }
     }
 };
 
@@ -59,7 +83,9 @@ inline double bounded(double value, double low, double high) { return std::min(s
 // Joint targets that actions move, and the reference that approaches them.
 class ActionTargets {
 public:
-    ActionTargets(const Model& model, const ActionOptions& options) : options_(options), dynamics_(model) {}
+    ActionTargets(const Model& model, const ActionOptions& options)
+        : options_(options), dynamics_(model), goals_(options.tips.size()), components_(options.is_cartesian() ? options.size : 0),
+          errors_(components_), J_(components_, model->n()), square_(components_, components_) {}
 
     // Moves targets (n,) by an action.
     void move(Vector action, Result target) {
@@ -71,7 +97,7 @@ public:
                 target[i] = limits.q_min + 0.5 * (1.0 + unit(action[i])) * (limits.q_max - limits.q_min);
             }
         }
-        if (options_.mode == ActionMode::cartesian_delta || options_.mode == ActionMode::cartesian_pose) { move_tip(action, target); }
+        if (options_.is_cartesian()) { move_tips(action, target); }
     }
 
     // Moves the reference (n,) one tick towards the target, within speed and acceleration, so that it stops there without
@@ -92,10 +118,10 @@ public:
         return {.q = q_, .v = v_, .a = a_, .v_tick = v_, .a_tick = a_};
     }
 
-    // The pose of the tip at joint positions (n,).
+    // The pose of the first tip at joint positions (n,).
     Pose tip(Vector q) {
         dynamics_.locate(q);
-        return dynamics_.tip();
+        return dynamics_.pose_of(options_.tips.front().frame);
     }
 
 private:
@@ -103,40 +129,74 @@ private:
     // Square of the error in m and rad: a full action is more than a thousand times its root.
     static constexpr double reached_squared = 1e-10;
 
-    void move_tip(Vector action, Result target) {
-        const Pose origin = options_.mode == ActionMode::cartesian_delta ? tip(target) : options_.T_world_home;
-        const auto scaled = [action](double scale, size_t k) {
-            return Vec3{scale * unit(action[k]), scale * unit(action[k + 1]), scale * unit(action[k + 2])};
+    void move_tips(Vector action, Result target) {
+        const bool is_delta = options_.mode == ActionMode::cartesian_delta;
+        if (is_delta) { dynamics_.locate(target); }
+        size_t first = 0;
+        for (size_t k = 0; k < goals_.size(); ++k) {
+            const ActionTip& tip = options_.tips[k];
+            goals_[k] = moved(is_delta ? dynamics_.pose_of(tip.frame) : tip.T_world_home, action.subspan(first, tip.size));
+            first += tip.size;
+        }
+        follow(target);
+    }
+
+    // A pose moved by the block of a tip, (3,) or (6,).
+    Pose moved(const Pose& origin, Vector block) const {
+        const auto scaled = [block](double scale, size_t k) {
+            return Vec3{scale * unit(block[k]), scale * unit(block[k + 1]), scale * unit(block[k + 2])};
         };
         Pose goal = origin;
         goal.translation += scaled(options_.position_scale, 0);
-        const Vec3 turn = options_.size == 6 ? scaled(options_.rotation_scale, 3) : Vec3();
+        const Vec3 turn = block.size() == 6 ? scaled(options_.rotation_scale, 3) : Vec3();
         if (const double angle = norm(turn); angle > 0.0) { goal.rotation = rotation_about((1.0 / angle) * turn, angle) * origin.rotation; }
-        follow(goal, target);
+        return goal;
     }
 
-    // Moves targets (n,) by damped least squares until their tip is at a goal, each joint within its limits and at most as far from
-    // where it starts as it can move in a step.
+    // Moves targets (n,) by damped least squares over the errors of all tips until these are at their goals, each joint within its
+    // limits and at most as far from where it starts as it can move in a step.
     //
     // Nakamura, Hanafusa, "Inverse kinematic solutions with singularity robustness for robot manipulator control" (1986).
-    void follow(const Pose& goal, Result target) {
+    void follow(Result target) {
         copy(target, start_);
         for (int iteration = 0; iteration < max_iterations; ++iteration) {
-            std::array<double, 6> twist = numbers(difference(tip(target), goal));
-            const Result error = Result(twist).first(components_);
-            if (dot(error, error) < reached_squared) { return; }
-            const Matrix J = dynamics_.tip_jacobian();
+            dynamics_.locate(target);
+            find_errors();
+            if (dot(errors_, errors_) < reached_squared) { return; }
+            find_jacobian();
+            // The solver reads the lower triangle.
             for (size_t r = 0; r < components_; ++r) {
-                for (size_t c = 0; c < components_; ++c) { square_(r, c) = dot(J.row(r), J.row(c), r == c ? options_.tip_damping : 0.0); }
+                for (size_t c = 0; c <= r; ++c) { square_(r, c) = dot(J_.row(r), J_.row(c), r == c ? options_.tip_damping : 0.0); }
             }
             factorize(square_);
-            solve(square_, error);
+            solve(square_, errors_);
             for (size_t i = 0; i < target.size(); ++i) {
                 const ActionLimits& limits = options_.limits[i];
                 const double way = options_.dt * static_cast<double>(options_.ticks) * limits.v_max;
-                const double moved = bounded(target[i] + dot(J.column(i), error), start_[i] - way, start_[i] + way);
-                target[i] = bounded(moved, limits.q_min, limits.q_max);
+                const double within_way = bounded(target[i] + dot(J_.column(i), errors_), start_[i] - way, start_[i] + way);
+                target[i] = bounded(within_way, limits.q_min, limits.q_max);
             }
+        }
+    }
+
+    // The translations, m, and rotations, rad, from the tips to their goals, one block after the other.
+    void find_errors() {
+        size_t first = 0;
+        for (size_t k = 0; k < goals_.size(); ++k) {
+            const ActionTip& tip = options_.tips[k];
+            const std::array<double, 6> twist = numbers(difference(dynamics_.pose_of(tip.frame), goals_[k]));
+            copy(Vector(twist).first(tip.size), Result(errors_).subspan(first, tip.size));
+            first += tip.size;
+        }
+    }
+
+    // How the joints move the tips, likewise.
+    void find_jacobian() {
+        size_t first = 0;
+        for (const ActionTip& tip : options_.tips) {
+            const Vector rows = dynamics_.jacobian_of(tip.frame).numbers().first(tip.size * J_.columns());
+            copy(rows, J_.numbers().subspan(first * J_.columns()));
+            first += tip.size;
         }
     }
 
@@ -144,9 +204,11 @@ private:
 
     const ActionOptions& options_;
     Dynamics dynamics_;
-    // The tip of an arm with fewer than six joints has a position as its goal.
-    size_t components_ = options_.size == 6 ? 6 : 3;
-    Mat square_{components_, components_};
+    std::vector<Pose> goals_;  // of the tips
+    size_t components_;        // of all errors; 0 where no tip is moved
+    Numbers errors_;           // (components,)
+    Mat J_;                    // (components, n)
+    Mat square_;               // (components, components)
     Numbers start_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros();
 };
 

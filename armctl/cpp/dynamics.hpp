@@ -17,6 +17,12 @@ struct BodyMotion {
     Vec3 linear;  // acceleration of the origin minus gravity
 };
 
+// A frame that a joint carries; joint -1 is the world.
+struct CarriedFrame {
+    int joint = -1;
+    Pose placement;  // in the joint's frame
+};
+
 // The functions of the dynamics with their scratch memory: one object for each thread. No call allocates memory.
 //
 // Some functions evaluate the arm where an earlier one has placed it: `place`, `gravity`, `inverse_dynamics` or `tip_motion`.
@@ -143,10 +149,16 @@ public:
     // The frame of a joint in the world, after `locate`; that of joint -1 is the world's.
     Pose joint_frame(int joint) const { return joint < 0 ? Pose{} : links_[static_cast<size_t>(joint)].T_world_joint; }
 
+    // The pose of a frame in the world, after `locate`.
+    Pose pose_of(const CarriedFrame& frame) const { return joint_frame(frame.joint) * frame.placement; }
+
     // The (6, n) Jacobian of the tip, linear first, world axes, after `locate`; valid until the next call.
-    Matrix tip_jacobian() {
+    Matrix tip_jacobian() { return jacobian_of({static_cast<int>(model_->chain_length) - 1, model_->T_last_tip}); }
+
+    // The same of any frame.
+    Matrix jacobian_of(const CarriedFrame& frame) {
         std::ranges::fill(J_.numbers(), 0.0);
-        for (size_t j = 0; j < model_->chain_length; ++j) { add_twist(j, tip().translation, 1.0, J_); }
+        add_twists_to(frame.joint, pose_of(frame).translation);
         return J_;
     }
 
@@ -201,6 +213,14 @@ private:
         double torque;
         CompositeInertia composite;
     };
+
+    // Adds to the scratch Jacobian the twists of a point in the world which the joints from the base to a joint cause, in this order:
+    // where one of the arm's n moves several of them, the order decides the last bits.
+    void add_twists_to(int joint, Vec3 point) {
+        if (joint < 0) { return; }
+        add_twists_to(model_->joints[static_cast<size_t>(joint)].parent, point);
+        add_twist(static_cast<size_t>(joint), point, 1.0, J_);
+    }
 
     // Adds `sign` times the twists of a point in the world which a joint causes, to a Jacobian (6, n).
     void add_twist(size_t j, Vec3 point, double sign, MatrixResult J) const {

@@ -57,7 +57,7 @@ public:
             throw InputError("law, arm: they are not for " + std::to_string(joints()) + " joints");
         }
         if (law.needs_wrench()) { throw InputError("law: environments measure no wrench, and this law needs one"); }
-        action().check(joints());
+        action().check(joints(), arm_->joints.size());
         for (size_t row = 0; row < arrays_.count(); ++row) {
             copies_.emplace_back(law.clone(), options_, action().smoothing);
             restart(row, 0);

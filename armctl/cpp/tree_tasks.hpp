@@ -11,12 +11,6 @@
 
 namespace armctl {
 
-// A frame that a joint carries; joint -1 is the world.
-struct CarriedFrame {
-    int joint = -1;
-    Pose placement;  // in the joint's frame
-};
-
 // What one frame should reach.
 struct TreeTask {
     CarriedFrame frame;
@@ -129,7 +123,7 @@ public:
         return (half.x * center_.x + half.y * center_.y - half.bound) / reach_;
     }
 
-    Pose pose_of(const CarriedFrame& frame) const { return dynamics_.joint_frame(frame.joint) * frame.placement; }
+    Pose pose_of(const CarriedFrame& frame) const { return dynamics_.pose_of(frame); }
 
 private:
     static constexpr double MAX_ERROR = 1e3;  // reaches: beyond it, a step's gain is lost to rounding

@@ -7,10 +7,11 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.defaults import MIN_JOINTS_FOR_POSES
-from armctl.core.errors import InputError, few_names
+from armctl.core.errors import InputError
 from armctl.core.limits import Limits
 from armctl.model.arm.arm import Arm
 
+_COMPONENTS = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")  # of a tip
 _TURN = 2.0 * np.pi  # rad (m), to both sides of home
 _MAX_SMOOTHING_S = 10.0
 _STOP_MARGIN = 1e-3  # of the range of a joint
@@ -26,19 +27,20 @@ class ActionMode:
     rotation_scale: float = 0.0  # rad, of a full action
     is_smooth: bool = False  # whether the reference keeps the jerk limits too, which delays it
 
-    def check(self, name: str, arm: Arm) -> None:
-        """Raises InputError if an action of this name cannot move an arm with several tips."""
-        if self.position_scale > 0.0 and arm.further_tips:
-            raise InputError(
-                f"action: {name} moves one tip, and {arm.name:.60} has {few_names(arm.tips)}; use joint_delta, joint_target or "
-                f"torque, or choose a tip with load_options={{'tip': {arm.tip!r:.60}}}"
-            )
+    @property
+    def is_cartesian(self) -> bool:
+        return self.position_scale > 0.0
 
     def size(self, arm: Arm) -> int:
-        """The numbers of an action: one a joint, or 6 of the tip (3 where the arm has fewer than 6 joints)."""
-        if self.position_scale == 0.0:
-            return arm.n
-        return 6 if arm.n >= MIN_JOINTS_FOR_POSES else 3
+        """The numbers of an action: one a joint, or the block of each tip."""
+        return sum(tip_sizes(arm)) if self.is_cartesian else arm.n
+
+    def names(self, arm: Arm) -> list[str]:
+        """The name of each number of an action."""
+        if not self.is_cartesian:
+            return list(arm.joint_names)
+        blocks = zip(arm.tips, tip_sizes(arm), strict=True)
+        return [f"{tip}/{name}" if arm.further_tips else name for tip, size in blocks for name in _COMPONENTS[:size]]
 
 
 ACTION_MODES = {
@@ -50,6 +52,11 @@ ACTION_MODES = {
 }
 for _name in ("joint_delta", "cartesian_delta"):
     ACTION_MODES[f"{_name}_smooth"] = replace(ACTION_MODES[_name], is_smooth=True)
+
+
+def tip_sizes(arm: Arm) -> list[int]:
+    """The numbers of each tip in a cartesian action: 6, or 3 (its position) where fewer than 6 joints move it."""
+    return [6 if len(arm.joints_to(tip)) >= MIN_JOINTS_FOR_POSES else 3 for tip in arm.tips]
 
 
 def target_limits(arm: Arm) -> Limits:

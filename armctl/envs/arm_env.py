@@ -7,8 +7,7 @@ from typing import Any
 
 import gymnasium
 
-from armctl.core.errors import InputError
-from armctl.core.validation import as_array, flag, integer
+from armctl.core.validation import flag, integer
 from armctl.envs.batch import Batch, action_space, observation_space
 from armctl.envs.pictures import Screen
 from armctl.envs.tasks.task import RobotLike
@@ -47,7 +46,8 @@ class ArmEnv(gymnasium.Env):
             robot: An arm, or what `armctl.load` takes.
             task: "Reach", "ReachPast", "Track", "Push" or "PickPlace".
             action: "torque", "joint_delta", "joint_target", "cartesian_delta" or "cartesian_pose"; "joint_delta_smooth" and
-                "cartesian_delta_smooth" also keep the jerk limits.
+                "cartesian_delta_smooth" also keep the jerk limits. Cartesian ones have a block of numbers for each of the arm's
+                tips: 6, or 3 for its position where fewer than 6 joints move it.
             render_mode: "rgb_array" for pictures, "human" for the viewer's page.
             width: Pixels of a picture.
             height: Pixels of a picture.
@@ -99,7 +99,7 @@ class ArmEnv(gymnasium.Env):
         """Steps the environment.
 
         Args:
-            action: (k,) in [-1, 1].
+            action: (k,) in [-1, 1], of several tips one block after the other.
 
         Returns:
             Observation, reward, termination (never), truncation (at the horizon), and information: `is_success`,
@@ -109,10 +109,7 @@ class ArmEnv(gymnasium.Env):
             InputError: The action has another shape, or one of its entries is not a number.
         """
         batch = self.batch
-        given = as_array("action", action)
-        if given.shape != self.action_space.shape:
-            raise InputError(f"action: expected shape {self.action_space.shape}, got {given.shape}")
-        batch.step(given[None])
+        batch.step(batch.checked_shape(action, batch.rows.action.shape[1:])[None])
         observation = batch.observe()
         rewards, found = batch.evaluate(observation)
         self._show()

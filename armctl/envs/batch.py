@@ -136,7 +136,6 @@ class Batch:
         self._is_sparse = choice("reward", reward, REWARDS) == "sparse"
         self.task = task_class(ArmSource(robot, load_options), ticks)
         self.arm = self.task.arm
-        mode.check(action, self.arm)
         self._randomization = Randomization.read(randomize, has_object=bool(self.task.object))
         self.step_time = ticks * self.arm.dt  # s, of a step
         shortest = max(_MIN_HORIZON, int(np.ceil(self.task.min_duration / self.step_time)))
@@ -151,6 +150,8 @@ class Batch:
             has_contacts=has_contacts,
             randomization=self._randomization,
         )
+        # The name of each number of an action
+        self.action_names = [*mode.names(self.arm), *(["gripper"] if self.task.uses_gripper else [])]
         # Between the actions and the joints; None if all actions pass
         self.gate = StepGate(self.task, self.rows) if flag("gate", gate) else None
         self.observer = ObservationBuilder(self.task, self.rows)  # what is observed
@@ -193,9 +194,7 @@ class Batch:
 
     def step(self, actions: Any) -> None:
         """Steps all episodes by actions (count, k) in [-1, 1]; InputError if they are something else."""
-        given = as_array("action", actions)
-        if given.shape != self.rows.action.shape:
-            raise InputError(f"action: expected shape {self.rows.action.shape}, got {given.shape}")
+        given = self.checked_shape(actions, self.rows.action.shape)
         if given.dtype.kind not in "fiub" or np.isnan(given).any():
             raise InputError(f"action: expected numbers in [-1, 1], got {shown(actions)}")
         if np.abs(given).max() > _MAX_ACTION:
@@ -212,6 +211,16 @@ class Batch:
             self._move_goals()
         if self.task.obstacle:
             self.was_touched |= self.rows.touched > 0
+
+    def checked_shape(self, action: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+        """An action, or several, as an array; InputError if it has another shape."""
+        given = as_array("action", action)
+        if given.shape != shape:
+            sizes = zip(self.rows.tip_sizes, self.arm.tips, strict=True)
+            has_blocks = self.arm.further_tips and self.rows.mode.is_cartesian
+            blocks = f"; it has {few_names([f'{size} numbers for {tip}' for size, tip in sizes])}" if has_blocks else ""
+            raise InputError(f"action: expected shape {shape}, got {given.shape}{blocks}")
+        return given
 
     def observe(self) -> Observations:
         """(count, size) the observations now, as a new array."""

@@ -10,7 +10,7 @@ from armctl.control import controller_by_name
 from armctl.control.interface import State, has_compiled_law
 from armctl.core.log import SimulationError
 from armctl.core.validation import Array, IntArray
-from armctl.envs.actions import ActionMode, smoothing_ticks, target_limits
+from armctl.envs.actions import ActionMode, smoothing_ticks, target_limits, tip_sizes
 from armctl.envs.arm_copies import ArmCopies
 from armctl.envs.randomization import ObjectFactors, Randomization
 from armctl.envs.tasks.task import Episode, Task
@@ -80,6 +80,7 @@ class BatchSimulation:
         self.count = count
         self.ticks = ticks  # control periods in a step
         self.mode = mode  # what the actions mean
+        self.tip_sizes = tip_sizes(arm)  # the numbers of each tip, if the actions are cartesian
         # What disturbs measurements and commands
         self.signals = EncoderNoise(count, ticks, n, arm.dt, is_noisy=randomization.is_noisy)
         limits = target_limits(arm)
@@ -180,7 +181,8 @@ class BatchSimulation:
         noise = self.signals.noise if len(self.signals.noise) and ticks == self.ticks else None
         grip = self._grip
         objects = self.simulated.object_addresses
-        home = arm.fk(arm.home)
+        carried = [arm.pinocchio_model.carried(k) for k in range(len(arm.tips))]
+        homes = [arm.fk(arm.home, tip) for tip in arm.tips]
         return _core.EnvironmentBatch(
             mujoco_api(),
             arm=arm.core_model.for_period(arm.dt, False),
@@ -218,5 +220,8 @@ class BatchSimulation:
             smoothing=smoothing_ticks(arm) if mode.is_smooth else 1,
             approach_rate=min(_APPROACH_RATE, _MAX_SHARE_PER_TICK / arm.dt),
             tip_damping=_IK_DAMPING,
-            home_tip=np.concatenate([home.position, home.rotation.ravel()]),
+            tip_joints=np.array([joint for joint, _ in carried], np.int64),
+            tip_placements=np.array([placement for _, placement in carried]),
+            tip_sizes=np.array(self.tip_sizes, np.int64),
+            home_tips=np.array([np.concatenate([home.rotation.ravel(), home.position]) for home in homes]),
         )

@@ -29,7 +29,6 @@ from armctl.report.render.renderer import Image
 _HOLD_TIME = 0.25  # s at the goal, after which an episode ends
 _MAX_FAILURES = 20  # in a row
 _FREQUENCY_TOLERANCE = 1e-6  # relative
-_CARTESIAN = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
 
 _Policy = Callable[[Any], ArrayLike]
 
@@ -209,13 +208,9 @@ def _writer(env: ArmEnv, folder: Path, screen: Screen | None) -> LeRobotWriter:
             f"env: a second has {1.0 / batch.step_time:.3f} of its steps, and a data set needs a whole number; choose ticks so "
             f"that {batch.arm.dt:g} s times ticks divides a second"
         )
-    joints = batch.arm.joint_names
-    arm_actions = (
-        list(joints) if batch.action.startswith(("joint", "torque")) else list(_CARTESIAN[: batch.rows.mode.size(batch.arm)])
-    )
     features = {
         "observation.state": Feature("float32", _observation_names(env)),
-        "action": Feature("float32", [*arm_actions, *(["gripper"] if batch.task.uses_gripper else [])]),
+        "action": Feature("float32", batch.action_names),
         "next.reward": Feature("float32"),
         "next.success": Feature("bool"),
         "next.done": Feature("bool"),
@@ -226,6 +221,7 @@ def _writer(env: ArmEnv, folder: Path, screen: Screen | None) -> LeRobotWriter:
 
 def _observation_names(env: ArmEnv) -> list[str]:
     joints = env.batch.arm.joint_names
+    tips = env.batch.arm.tips
     names: list[str] = []
     for quantity, columns in env.batch.observer.columns.items():
         width = columns.stop - columns.start
@@ -233,6 +229,8 @@ def _observation_names(env: ArmEnv) -> list[str]:
             names += [f"{quantity}/{joint}" for joint in joints]
         elif width == 3:
             names += [f"{quantity}/{axis}" for axis in "xyz"]
+        elif width == 3 * len(tips):
+            names += [f"{quantity}/{tip}/{axis}" for tip in tips for axis in "xyz"]
         else:
             names.append(quantity)
     return names

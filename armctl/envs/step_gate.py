@@ -75,7 +75,7 @@ class StepGate:
                 break
         low = rows.limits[0]
         rows.target[row] = target
-        rows.action[row, : self._task.arm.n] = 2.0 * (target - low) / (rows.limits[1] - low) - 1.0 if self._is_absolute else 0.0
+        rows.action[row] = 2.0 * (target - low) / (rows.limits[1] - low) - 1.0 if self._is_absolute else 0.0
         return reason
 
     def _way(self, row: int, target: Array) -> Pieces | None:

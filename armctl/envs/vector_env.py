@@ -53,7 +53,8 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             robot: What `armctl.load` takes, or, for Reach and Track, also an arm.
             task: "Reach", "ReachPast", "Track", "Push" or "PickPlace".
             action: "torque", "joint_delta", "joint_target", "cartesian_delta" or "cartesian_pose"; "joint_delta_smooth" and
-                "cartesian_delta_smooth" also keep the jerk limits.
+                "cartesian_delta_smooth" also keep the jerk limits. Cartesian ones have a block of numbers for each of the arm's
+                tips: 6, or 3 for its position where fewer than 6 joints move it.
             num_envs: How many.
             threads: On how many threads; the result is the same.
             controller: The name of a controller, for all actions but torques.
@@ -133,7 +134,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         """Steps all environments; ended episodes start again.
 
         Args:
-            actions: (num_envs, k) in [-1, 1].
+            actions: (num_envs, k) in [-1, 1], of several tips one block after the other.
 
         Returns:
             Observations, rewards, terminations (never), truncations (at the horizon), and information: `is_success`,
@@ -165,8 +166,8 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         """The rewards of goals, for hindsight replay.
 
         Args:
-            achieved_goal: (..., 3) m, where the tip or the object is.
-            desired_goal: (..., 3) m.
+            achieved_goal: (..., 3 K) m, where each of K tips, or the object, is.
+            desired_goal: (..., 3 K) m.
             info: The information of the step, or of each step.
 
         Returns:

@@ -55,6 +55,12 @@ def remade(rows: BatchSimulation, **changes: object) -> _core.EnvironmentBatch:
         ({"gear": np.ones(2)}, r"qpos_addresses: need an array of shape \(2,\), got \(3,\)"),
         ({"gripper_ctrl": np.zeros(1, np.int64)}, r"gripper_length: need an array of shape \(1,\)"),
         ({"touched": np.zeros(2)}, "touched: need a contiguous, writable array of type int64"),
+        ({"tip_sizes": np.ones(2, np.int64)}, r"tip_sizes: need an array of shape \(1,\), got \(2,\)"),
+        ({"tip_sizes": np.full(1, 4)}, "tip_sizes: need 3 or 6 numbers for each tip"),
+        ({"tip_joints": np.full(1, 3)}, "tip_joints: need -1 or one of 3 joints, got 3"),
+        ({"tip_joints": np.full(1, -2)}, "tip_joints: need -1 or one of 3 joints, got -2"),
+        ({"tip_placements": np.zeros((1, 7))}, r"tip_placements: need an array of shape \(1, 12\), got \(1, 7\)"),
+        ({"mode": 3, "tip_sizes": np.full(1, 6)}, "action: need a number for each joint, or a block for each tip"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )

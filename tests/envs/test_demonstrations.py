@@ -12,6 +12,7 @@ pytest.importorskip("pyarrow", reason="pip install -e '.[study]'")
 import av
 import pandas as pd
 import pyarrow.parquet as pq
+from synthetic import PAIR, mjcf, motors
 
 import armctl
 import armctl.envs
@@ -170,6 +171,24 @@ def test_the_actions_of_a_policy_are_recorded_and_their_replay_ends_in_the_same_
     assert successes[-1]
     with pytest.raises(armctl.InputError, match="policy: expected a function of an observation, got 'joystick'"):
         armctl.envs.save_demonstrations(env, tmp_path / "more", 1, policy="joystick")
+
+
+@pytest.mark.parametrize("action", ["cartesian_delta", "joint_delta"])
+def test_each_number_of_several_tips_has_a_name(tmp_path, action):
+    path = tmp_path / "pair.xml"
+    path.write_text(mjcf(PAIR, motors("a b c d e f")))
+    env = armctl.envs.ArmEnv(path, "Reach", action, load_options={"tips": ["C", "F"]})
+    result = armctl.envs.save_demonstrations(env, tmp_path / "data", 1)
+    assert result, result.reason
+    features = json.loads((tmp_path / "data/meta/info.json").read_text())["features"]
+    by_tip = [f"{tip}/{axis}" for tip in "CF" for axis in "xyz"]
+    assert features["action"]["names"] == (by_tip if action == "cartesian_delta" else list("abcdef"))
+    expected = [f"{quantity}/{joint}" for quantity in ("q", "v", "to_target") for joint in "abcdef"]
+    expected += [f"{quantity}/{name}" for quantity in ("tip", "goal", "to_goal") for name in by_tip]
+    assert features["observation.state"]["names"] == expected
+    assert features["observation.state"]["shape"] == list(env.observation_space.shape)
+    rows = pq.read_table(tmp_path / "data/data/chunk-000/file-000.parquet")
+    assert np.array(rows["observation.state"].to_pylist()).shape[1] == len(expected)
 
 
 def test_each_camera_has_a_film_also_one_at_the_wrist(tmp_path):

@@ -81,11 +81,10 @@ def test_a_goal_that_one_tip_cannot_reach_names_the_tip(pair):
         env.reset(seed=0, options={"goal": near})
 
 
-def test_what_is_for_one_tip_says_so(pair, tmp_path):
-    with pytest.raises(armctl.InputError, match=r"action: cartesian_delta moves one tip, and .* has C and F; use joint_delta"):
-        armctl.envs.ArmEnv(pair)
+@pytest.mark.parametrize("action", ["joint_delta", "cartesian_delta"])
+def test_what_is_for_one_tip_says_so(action, tmp_path):
     path = tmp_path / "pair.xml"
     path.write_text(mjcf(PAIR, motors("a b c d e f")))
     for task in ("ReachPast", "Push"):
         with pytest.raises(armctl.InputError, match="it has the tips 'C', 'F', and a pose is for one; load it with tip='C'"):
-            armctl.envs.ArmEnv(path, task, "joint_delta", load_options={"tips": ["C", "F"]})
+            armctl.envs.ArmEnv(path, task, action, load_options={"tips": ["C", "F"]})

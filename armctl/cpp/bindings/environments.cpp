@@ -18,11 +18,30 @@ struct EnvironmentArguments {
     EnvironmentArrays arrays;
 };
 
-// `limits` (5, n) are those of ActionLimits, `home_tip` (12,) is translation and rotation matrix.
+// Of K tips: `tip_joints` (K,) carry them, -1 for the world, at `tip_placements` (K, 12); `tip_sizes` (K,) are the numbers of their blocks,
+// and `home_tips` (K, 12) their poses at home.
+template <class Given>
+std::vector<ActionTip> action_tips(Given& given) {
+    const Integers joints = given.integers("tip_joints");
+    const Integers sizes = given.integers(joints.size(), "tip_sizes");
+    const Matrix placements = given.matrix(joints.size(), 12, "tip_placements");
+    const Matrix homes = given.matrix(joints.size(), 12, "home_tips");
+    std::vector<ActionTip> tips;
+    tips.reserve(joints.size());
+    for (size_t k = 0; k < joints.size(); ++k) {
+        tips.push_back({
+            .frame = {.joint = static_cast<int>(joints[k]), .placement = pose_of(placements.row(k))},
+            .size = static_cast<size_t>(sizes[k]),
+            .T_world_home = pose_of(homes.row(k)),
+        });
+    }
+    return tips;
+}
+
+// `limits` (5, n) are those of ActionLimits.
 template <class Given>
 ActionOptions action_options(Given& given, size_t n) {
     const Matrix limits = given.matrix(5, n, "limits");
-    const Vector home_tip = given.vector(12, "home_tip");
     ActionOptions options{
         .mode = static_cast<ActionMode>(given.integer("mode")),
         .limits = {},
@@ -35,7 +54,7 @@ ActionOptions action_options(Given& given, size_t n) {
         .smoothing = given.count("smoothing"),
         .approach_rate = given.number("approach_rate"),
         .tip_damping = given.number("tip_damping"),
-        .T_world_home = {Rotation::from_rows(home_tip.subspan(3)), vec3(home_tip)},
+        .tips = action_tips(given),
     };
     for (size_t i = 0; i < n; ++i) { options.limits.push_back({limits(0, i), limits(1, i), limits(2, i), limits(3, i), limits(4, i)}); }
     return options;

@@ -66,12 +66,14 @@ def action_towards(batch: Batch, target: Array, q: Array) -> Array:
         return 2.0 * (q - low) / (high - low) - 1.0
     if batch.action == "joint_delta":
         return (q - target) / (rows.mode.joint_scale * batch.step_time * speed)
-    wanted = batch.arm.fk(q)
-    now = batch.arm.fk(target)
-    way = (wanted.position - now.position) / rows.mode.position_scale
-    if rows.mode.size(batch.arm) == 3:
-        return way
-    return np.concatenate([way, rotation_vector(wanted.rotation @ now.rotation.T) / rows.mode.rotation_scale])
+    parts = []
+    for tip, size in zip(batch.arm.tips, rows.tip_sizes, strict=True):
+        wanted = batch.arm.fk(q, tip)
+        now = batch.arm.fk(target, tip)
+        parts.append((wanted.position - now.position) / rows.mode.position_scale)
+        if size == 6:
+            parts.append(rotation_vector(wanted.rotation @ now.rotation.T) / rows.mode.rotation_scale)
+    return np.concatenate(parts)
 
 
 def within_step(batch: Batch, action: Array) -> Array:
@@ -80,7 +82,7 @@ def within_step(batch: Batch, action: Array) -> Array:
         return np.clip(action, -1.0, 1.0)
     if batch.action == "joint_delta":
         return _shortened(action)
-    return np.concatenate([_shortened(part) for part in (action[:3], action[3:])])
+    return np.concatenate([_shortened(part) for part in action.reshape(-1, 3)])  # positions and rotations of the tips
 
 
 def _shortened(action: Array) -> Array:
