@@ -249,8 +249,9 @@ def test_an_action_of_another_shape_is_refused_with_the_numbers_of_each_tip(tors
             env.step(wrong)
 
 
-def test_two_arms_that_would_touch_do_not_with_a_gate():
-    arm = armctl.load(mujoco.MjSpec.from_string(TOUCHING_PAIR), tips=["C", "F"])
+@pytest.mark.parametrize("tips", [["C", "F"], ["C", "F", "B", "E"]], ids=["as many numbers as joints", "more"])
+def test_two_arms_that_would_touch_do_not_with_a_gate(tips):
+    arm = armctl.load(mujoco.MjSpec.from_string(TOUCHING_PAIR), tips=tips)
     checker = collision_checker(arm)
     refused = 0
     touched = {False: 0, True: 0}
@@ -261,7 +262,7 @@ def test_two_arms_that_would_touch_do_not_with_a_gate():
             target = env.batch.rows.target[0]
             way = arm.fk(target, "C").position - arm.fk(target, "F").position
             block = way / np.linalg.norm(way)
-            information = env.step(np.concatenate([-block, block]))[4]
+            information = env.step(np.concatenate([-block, block] * (len(tips) // 2)))[4]
             touched[gate] += bool(checker.at(env.batch.rows.reference(0)[0]))
             if gate and information["refusal"]:
                 refused += 1
