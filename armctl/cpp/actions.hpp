@@ -84,8 +84,9 @@ inline double bounded(double value, double low, double high) { return std::min(s
 class ActionTargets {
 public:
     ActionTargets(const Model& model, const ActionOptions& options)
-        : options_(options), dynamics_(model), goals_(options.tips.size()), components_(options.is_cartesian() ? options.size : 0),
-          errors_(components_), J_(components_, model->n()), square_(components_, components_) {}
+        : options_(options), dynamics_(model), goals_(options.is_cartesian() ? options.tips.size() : 0),
+          components_(options.is_cartesian() ? options.size : 0), errors_(components_), J_(components_, model->n()),
+          square_(components_, components_) {}
 
     // Moves targets (n,) by an action.
     void move(Vector action, Result target) {
@@ -204,8 +205,8 @@ private:
 
     const ActionOptions& options_;
     Dynamics dynamics_;
-    std::vector<Pose> goals_;  // of the tips
-    size_t components_;        // of all errors; 0 where no tip is moved
+    std::vector<Pose> goals_;  // of the tips; none, and no components, where actions move joints
+    size_t components_;        // of all errors
     Numbers errors_;           // (components,)
     Mat J_;                    // (components, n)
     Mat square_;               // (components, components)
