@@ -39,16 +39,7 @@ public:
     // Places the joints at q (n,) rad.
     void place(Vector q) {
         if (closed_) { closed_->close(q); }
-        for (size_t j = 0; j < links_.size(); ++j) {
-            const Joint& joint = model_->joints[j];
-            Link& link = links_[j];
-            link.position = position(j, q);
-            if (joint.slides) {
-                link.placement = {joint.rotation, joint.translation + link.position * joint.rotation.z};
-            } else {
-                link.placement = {joint.rotation.turned_about_z(link.position), joint.translation};
-            }
-        }
+        for (size_t j = 0; j < links_.size(); ++j) { place(j, q); }
     }
 
     // The torque that holds the arm at rest, (n,) N m, with gravity compensation and springs. Places the joints.
@@ -131,16 +122,21 @@ public:
 
     // Finds the frames of all joints in the world, where the joints are placed.
     void locate() {
-        for (size_t j = 0; j < links_.size(); ++j) {
-            const int parent = model_->joints[j].parent;
-            const Pose& placement = links_[j].placement;
-            links_[j].T_world_joint = parent < 0 ? placement : links_[static_cast<size_t>(parent)].T_world_joint * placement;
-        }
+        for (size_t j = 0; j < links_.size(); ++j) { locate(j); }
     }
 
     void locate(Vector q) {
         place(q);
         locate();
+    }
+
+    // The same for some joints only, parents before children; the frames of the others are not valid.
+    void locate(Vector q, std::span<const size_t> joints) {
+        if (closed_) { closed_->close(q); }
+        for (const size_t j : joints) {
+            place(j, q);
+            locate(j);
+        }
     }
 
     // The pose of the tip in the world, after `locate`.
@@ -162,10 +158,18 @@ public:
         return J_;
     }
 
-    // Adds `sign` times the Jacobian (6, n) of a point in the world that a joint carries, after `locate`.
-    void add_jacobian(int joint, Vec3 point, double sign, MatrixResult J) const {
+    // Adds `sign` times the Jacobian, (n,) columns, of a point in the world that a joint carries, after `locate`.
+    void add_jacobian(int joint, Vec3 point, double sign, std::span<Twist> J) const {
         for (; joint >= 0; joint = model_->joints[static_cast<size_t>(joint)].parent) {
-            add_twist(static_cast<size_t>(joint), point, sign, J);
+            const size_t j = static_cast<size_t>(joint);
+            const Twist caused = twist(j, point, sign);
+            if (model_->is_plain) {
+                J[j] += caused;
+                continue;
+            }
+            for (size_t i = 0; i < J.size(); ++i) {
+                if (ratio(j, i) != 0.0) { J[i] += ratio(j, i) * caused; }
+            }
         }
     }
 
@@ -222,11 +226,35 @@ private:
         add_twist(static_cast<size_t>(joint), point, 1.0, J_);
     }
 
-    // Adds `sign` times the twists of a point in the world which a joint causes, to a Jacobian (6, n).
-    void add_twist(size_t j, Vec3 point, double sign, MatrixResult J) const {
+    // Places a joint at q (n,), after the loops have been closed.
+    void place(size_t j, Vector q) {
+        const Joint& joint = model_->joints[j];
+        Link& link = links_[j];
+        link.position = position(j, q);
+        if (joint.slides) {
+            link.placement = {joint.rotation, joint.translation + link.position * joint.rotation.z};
+        } else {
+            link.placement = {joint.rotation.turned_about_z(link.position), joint.translation};
+        }
+    }
+
+    // Finds the frame of a joint in the world, where it is placed, after that of its parent.
+    void locate(size_t j) {
+        const int parent = model_->joints[j].parent;
+        const Pose& placement = links_[j].placement;
+        links_[j].T_world_joint = parent < 0 ? placement : links_[static_cast<size_t>(parent)].T_world_joint * placement;
+    }
+
+    // `sign` times the twist of a point in the world which a joint causes at a speed of 1.
+    Twist twist(size_t j, Vec3 point, double sign) const {
         const Pose& T = links_[j].T_world_joint;
         const Vec3 z = sign * T.rotation.z;
-        const std::array<double, 6> twist = numbers(model_->joints[j].slides ? Twist{z, {}} : Twist{cross(z, point - T.translation), z});
+        return model_->joints[j].slides ? Twist{z, {}} : Twist{cross(z, point - T.translation), z};
+    }
+
+    // Adds `sign` times the twists of a point in the world which a joint causes, to a Jacobian (6, n).
+    void add_twist(size_t j, Vec3 point, double sign, MatrixResult J) const {
+        const std::array<double, 6> twist = numbers(this->twist(j, point, sign));
         for (size_t i = 0; i < J.columns; ++i) {
             const double ratio = model_->is_plain ? (i == j ? 1.0 : 0.0) : this->ratio(j, i);
             if (ratio == 0.0) { continue; }

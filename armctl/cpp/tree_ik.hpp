@@ -168,14 +168,14 @@ private:
             straight_[i] = before_[i] + part * (share * way_[i] - before_[i]);
             dx_[i] = Bounds{low_[i], high_[i]}.clamp(straight_[i]);
         }
-        return newton(q, dx_) && is_above_polygon() && can_brake(q, dx_, dt);
+        return newton(q, dx_) && is_above_polygon(q, dx_, allowed_outside()) && can_brake(q, dx_, dt);
     }
 
-    // Whether the center of mass is above its polygon where the joints are placed, or nearer to it than at the start of the step.
-    bool is_above_polygon() {
+    // By how much the center of mass may be outside its polygon, reaches: no farther than at the start of the step.
+    double allowed_outside() const {
         double outside = EXACT;
         for (const double room : rooms_) { outside = std::max(outside, -room); }
-        return polygon_.empty() || outside_polygon() <= outside * errors_.reach();
+        return outside;
     }
 
     // The share of the way at which what bends the straight step to where exact tasks hold takes no more of any joint's acceleration
@@ -200,9 +200,8 @@ private:
             if (q[i] + way < limits_.q_min[i] - CORRECTION || q[i] + way > limits_.q_max[i] + CORRECTION) { return false; }
         }
         if (polygon_.empty()) { return true; }
-        for (size_t i = 0; i < n(); ++i) { end_[i] = q[i] + dx[i] * errors_.unit()[i] * (1.0 + 0.5 * duration / dt); }
-        errors_.locate(end_);
-        return is_above_polygon();
+        for (size_t i = 0; i < n(); ++i) { kept_[i] = dx[i] * (1.0 + 0.5 * duration / dt); }
+        return is_above_polygon(q, kept_, allowed_outside());
     }
 
     // s, until all joints stop together from a step dx (n,) in dt.
@@ -240,22 +239,13 @@ private:
                 high_[i] = bounds.high * dt / errors_.unit()[i];
                 before_[i] = dx_[i];
             }
-            holds = brake(rest_q_, dt) || exact_error(rest_q_, dx_) < NEARLY_EXACT;
+            holds = brake(rest_q_, dt) || find_exact(rest_q_, dx_) < NEARLY_EXACT;
         }
         copy(rest_dx_, dx_);
         copy(rest_before_, before_);
         copy(rest_low_, low_);
         copy(rest_high_, high_);
         return holds;
-    }
-
-    // The greatest error of exact tasks at the end of a step dx (n,) from q (n,).
-    double exact_error(Vector q, Vector dx) {
-        set_end(q, dx);
-        find_exact(end_, end_rows_);
-        double most = 0.0;
-        for (size_t row = 0; row < end_rows_.count; ++row) { most = std::max(most, std::abs(end_rows_.errors[row])); }
-        return most;
     }
 
     // The share of a way (n,) that all joints can go in dt, so that each can stop at its end.
@@ -354,7 +344,7 @@ private:
         for (int halving = 0; halving < MAX_HALVINGS; ++halving) {
             for (double& x : dx) { x *= 0.5; }
             copy(dx, kept_);
-            if (newton(q, kept_) && outside_polygon() <= EXACT * errors_.reach()) {
+            if (newton(q, kept_) && is_above_polygon(q, kept_, EXACT)) {
                 copy(kept_, dx);
                 return true;
             }

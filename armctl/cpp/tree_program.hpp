@@ -26,8 +26,8 @@ public:
     TreeProgram(const Model& model, double reach, Vector unit, FixedMass fixed, JointLimits limits, std::vector<TreeTask> tasks,
                 std::vector<HalfPlane> polygon)
         : errors_(model, reach, unit, fixed), limits_(std::move(limits)), tasks_(std::move(tasks)), polygon_(std::move(polygon)),
-          soft_(6 * (tasks_.size() + polygon_.size()), n()), exact_(6 * tasks_.size(), n()),
-          solver_(n(), exact_.errors.size() + polygon_.size()), box_(n(), 0), M_(exact_.errors.size() + polygon_.size(), n()) {}
+          soft_(6 * (tasks_.size() + polygon_.size()), first_numbers(n())), exact_(6 * tasks_.size(), first_numbers(n())),
+          movers_(errors_.movers(exact_tasks(tasks_))), end_rows_(exact_.errors.size(), movers_.unknowns), solver_(n(), exact_.errors.size() + polygon_.size()), box_(n(), 0), M_(exact_.errors.size() + polygon_.size(), n()) {}
 
     size_t n() const { return errors_.n(); }
     const std::vector<TreeTask>& tasks() const { return tasks_; }
@@ -197,15 +197,15 @@ protected:
         if (!has_exact()) { return true; }
         for (int pass = 0;; ++pass) {
             copy(dx, kept_);
-            if (newton(q, kept_) && outside_polygon() <= EXACT * errors_.reach()) {
+            if (newton(q, kept_) && is_above_polygon(q, kept_, EXACT)) {
                 copy(kept_, dx);
                 return true;
             }
             // At a bound, or too far: the program once more, with what its end misses.
             if (pass == EXACT_PASSES) { return false; }
-            set_end(q, dx);
-            find_exact(end_, end_rows_);
+            find_exact(q, dx);
             for (size_t row = 0; row < end_rows_.count; ++row) { rhs_[row] += end_rows_.errors[row]; }
+            errors_.locate(end_);
             for (size_t k = 0; k < polygon_.size(); ++k) {
                 double& room = rhs_[exact_.count + k];
                 room -= std::max(0.0, errors_.center_of_mass(polygon_[k], change_));
@@ -219,41 +219,75 @@ protected:
     bool newton(Vector q, Result dx) {
         std::ranges::fill(is_held_, 0);
         for (int iteration = 0; iteration < EXACT_STEPS; ++iteration) {
-            set_end(q, dx);
-            find_exact(end_, end_rows_);
-            const size_t count = end_rows_.count;
-            double most = 0.0;
-            for (size_t row = 0; row < count; ++row) { most = std::max(most, std::abs(end_rows_.errors[row])); }
-            if (most < EXACT) { return true; }
-            const MatrixResult gram{gram_.numbers().data(), count, count};
-            for (size_t row = 0; row < count; ++row) {
-                for (size_t i = 0; i < n(); ++i) { end_rows_.J(row, i) *= is_held_[i] ? 0.0 : 1.0; }
-                for (size_t other = 0; other <= row; ++other) { gram(row, other) = dot(end_rows_.J.row(row), end_rows_.J.row(other)); }
-                gram(row, row) += MIN_WEIGHT;
-            }
-            factorize(gram);
-            const Result multipliers = Result(end_rows_.errors).first(count);
-            solve(gram, multipliers);
-            for (size_t i = 0; i < n(); ++i) {
-                for (size_t row = 0; row < count; ++row) { dx[i] += end_rows_.J(row, i) * multipliers[row]; }
-                const Bounds bounds{low_[i], high_[i]};
-                is_held_[i] = is_held_[i] || !bounds.contain(dx[i]);
-                dx[i] = bounds.clamp(dx[i]);
-            }
+            if (find_exact(q, dx) < EXACT || correct(dx) < EXACT) { return true; }
         }
         return false;
+    }
+
+    // Changes dx (n,) by the least step that makes up for the errors of exact tasks at its end. Returns a bound of the errors that it
+    // leaves; infinite where a bound holds a joint.
+    //
+    // The second derivatives of a frame's pose are at most the levers of the joints that move it, which are at most one reach.
+    double correct(Result dx) {
+        const size_t count = end_rows_.count;
+        const size_t columns = movers_.unknowns.size();
+        const MatrixResult gram{gram_.numbers().data(), count, count};
+        for (size_t c = 0; c < columns; ++c) {
+            if (!is_held_[c]) { continue; }
+            for (size_t row = 0; row < count; ++row) { end_rows_.J(row, c) = 0.0; }
+        }
+        for (size_t row = 0; row < count; ++row) {
+            for (size_t other = 0; other <= row; ++other) { gram(row, other) = dot(end_rows_.J.row(row), end_rows_.J.row(other)); }
+            gram(row, row) += MIN_WEIGHT;
+        }
+        factorize(gram);
+        const Result multipliers = Result(end_rows_.errors).first(count);
+        solve(gram, multipliers);
+        std::ranges::fill(correction_, 0.0);
+        double left = 0.0;
+        for (size_t row = 0; row < count; ++row) {
+            for (size_t c = 0; c < columns; ++c) { correction_[c] += end_rows_.J(row, c) * multipliers[row]; }
+            left = std::max(left, MIN_WEIGHT * std::abs(multipliers[row]));
+        }
+        double size = 0.0;
+        for (size_t c = 0; c < columns; ++c) {
+            const size_t i = movers_.unknowns[c];
+            const Bounds bounds{low_[i], high_[i]};
+            const double corrected = dx[i] + correction_[c];
+            if (!bounds.contain(corrected)) {
+                is_held_[c] = true;
+                left = INF;
+            }
+            dx[i] = bounds.clamp(corrected);
+            size += std::abs(correction_[c]);
+        }
+        return left + 0.5 * size * size;
     }
 
     void set_end(Vector q, Vector dx) {
         for (size_t i = 0; i < n(); ++i) { end_[i] = q[i] + dx[i] * errors_.unit()[i]; }
     }
 
-    void find_exact(Vector q, TaskRows& rows) {
-        errors_.locate(q);
-        rows.clear();
+    // Linearizes exact tasks at the end of a step dx (n,) from q (n,). Returns the greatest error.
+    double find_exact(Vector q, Vector dx) {
+        set_end(q, dx);
+        errors_.locate(end_, movers_.joints);
+        end_rows_.clear();
         for (const TreeTask& task : tasks_) {
-            if (task.exact) { errors_.add_rows(task, rows); }
+            if (task.exact) { errors_.add_rows(task, end_rows_); }
         }
+        double most = 0.0;
+        for (size_t row = 0; row < end_rows_.count; ++row) { most = std::max(most, std::abs(end_rows_.errors[row])); }
+        return most;
+    }
+
+    // Whether the center of mass is above its polygon, or outside by at most a number of reaches, at the end of a step dx (n,) from
+    // q (n,).
+    bool is_above_polygon(Vector q, Vector dx, double outside) {
+        if (polygon_.empty()) { return true; }
+        set_end(q, dx);
+        errors_.locate(end_);
+        return outside_polygon() <= outside * errors_.reach();
     }
 
     // The half planes that the center of mass is outside of, as rows.
@@ -275,6 +309,12 @@ protected:
         }
     }
 
+    static std::vector<TreeTask> exact_tasks(const std::vector<TreeTask>& tasks) {
+        std::vector<TreeTask> exact;
+        std::ranges::copy_if(tasks, std::back_inserter(exact), &TreeTask::exact);
+        return exact;
+    }
+
     bool has_exact() const { return !polygon_.empty() || std::ranges::any_of(tasks_, &TreeTask::exact); }
 
     TreeErrors errors_;
@@ -282,14 +322,16 @@ protected:
     std::vector<TreeTask> tasks_;
     std::vector<HalfPlane> polygon_;
     TaskRows soft_, exact_;
+    Movers movers_;      // of exact tasks
+    TaskRows end_rows_;  // of exact tasks, at the end of a step
     ActiveSetSolver solver_;
     ActiveSetSolver box_;
     Mat M_;
     // Scratch memory.
-    TaskRows end_rows_{exact_.errors.size(), n()};
-    TaskRows relaxed_{exact_.errors.size() + polygon_.size(), n()};
+    TaskRows relaxed_{exact_.errors.size() + polygon_.size(), first_numbers(n())};
     std::vector<size_t> firsts_;
-    std::vector<char> is_held_ = std::vector<char>(n());
+    Numbers correction_ = Numbers(movers_.unknowns.size());
+    std::vector<char> is_held_ = std::vector<char>(movers_.unknowns.size());
     Mat H_{n(), n()}, C_{n(), n()}, factor_{n(), n()};
     Mat gram_{exact_.errors.size(), exact_.errors.size()};
     Numbers f_ = Numbers(n()), diagonal_ = f_, pull_ = f_, low_ = f_, high_ = f_, way_ = f_, before_ = f_, straight_ = f_, dx_ = f_,

@@ -3,6 +3,7 @@
 // Errors have no unit: lengths are in reaches and angles have the weight ROTATION_WEIGHT, as in error_model.hpp. Unknowns are the
 // positions of the arm's n in rad, or in reaches where a joint slides.
 #pragma once
+#include <numeric>
 #include <optional>
 #include <vector>
 
@@ -34,15 +35,29 @@ struct FixedMass {
     Vec3 center;
 };
 
-// Rows of a linear model: error (rows,) and its change per unknown (rows, n).
+// Rows of a linear model: error (rows,) and its change (rows, columns) per unknown that has a column.
 struct TaskRows {
-    TaskRows(size_t capacity, size_t n) : errors(capacity), J(capacity, n) {}
+    TaskRows(size_t capacity, std::vector<size_t> unknowns) : columns(std::move(unknowns)), errors(capacity), J(capacity, columns.size()) {}
 
     void clear() { count = 0; }
 
+    std::vector<size_t> columns;  // the unknowns
     Numbers errors;
     Mat J;
     size_t count = 0;
+};
+
+// 0, 1, ... to below a count.
+inline std::vector<size_t> first_numbers(size_t count) {
+    std::vector<size_t> numbers(count);
+    std::iota(numbers.begin(), numbers.end(), size_t{0});
+    return numbers;
+}
+
+// What moves some tasks: joints, parents before children, and the unknowns that move these.
+struct Movers {
+    std::vector<size_t> joints;
+    std::vector<size_t> unknowns;
 };
 
 // The kinematics of the tasks at one configuration, with scratch memory: one object for each thread.
@@ -50,7 +65,7 @@ class TreeErrors {
 public:
     // `unit` (n,) is one unit of each unknown: 1 rad, or the reach, m, for a joint that slides.
     TreeErrors(const Model& model, double reach, Vector unit, FixedMass fixed)
-        : dynamics_(model), reach_(reach), unit_(unit.begin(), unit.end()), fixed_(fixed), J_(6, unit.size()), body_J_(6, unit.size()) {}
+        : dynamics_(model), reach_(reach), unit_(unit.begin(), unit.end()), fixed_(fixed), J_(unit.size()), body_J_(unit.size()) {}
 
     size_t n() const { return unit_.size(); }
     double reach() const { return reach_; }
@@ -58,6 +73,26 @@ public:
 
     // Places the joints at q (n,) rad (m).
     void locate(Vector q) { dynamics_.locate(q); }
+
+    // Places some joints only: all that move the tasks whose errors, rows and frames are asked for then.
+    void locate(Vector q, const std::vector<size_t>& joints) { dynamics_.locate(q, joints); }
+
+    // What moves some tasks.
+    Movers movers(const std::vector<TreeTask>& tasks) const {
+        const ArmModel& model = dynamics_.model();
+        if (!model.is_plain) { return {.joints = first_numbers(model.joints.size()), .unknowns = first_numbers(n())}; }
+        std::vector<bool> moves(n());
+        for (const TreeTask& task : tasks) {
+            for (const int last : {task.frame.joint, task.reference.joint}) {
+                for (int joint = last; joint >= 0; joint = parent(joint)) { moves[static_cast<size_t>(joint)] = true; }
+            }
+        }
+        std::vector<size_t> moving;
+        for (size_t j = 0; j < n(); ++j) {
+            if (moves[j]) { moving.push_back(j); }
+        }
+        return {.joints = moving, .unknowns = moving};
+    }
 
     // The errors of a task, m and rad.
     PoseError error(const TreeTask& task) const {
@@ -71,7 +106,7 @@ public:
     void add_rows(const TreeTask& task, TaskRows& rows) {
         const Pose tip = pose_of(task.frame);
         const Pose goal = goal_of(task);
-        std::ranges::fill(J_.numbers(), 0.0);
+        std::ranges::fill(J_, Twist{});
         dynamics_.add_jacobian(task.frame.joint, tip.translation, 1.0, J_);
         dynamics_.add_jacobian(task.reference.joint, task.points ? tip.translation : goal.translation, -1.0, J_);
         if (task.points) {
@@ -81,10 +116,10 @@ public:
         const Vec3 linear = (1.0 / reach_) * (goal.translation - tip.translation);
         const double length = norm(linear);
         const double share = std::min(1.0, MAX_ERROR / std::max(length, TINIEST));
-        add(share * linear, 1.0 / reach_, 0, rows);
+        add(share * linear, 1.0 / reach_, &Twist::linear, rows);
         if (task.constraint == Constraint::position) { return; }
         if (has_free_axis(task.constraint)) { remove_turn(axis_of(tip.rotation, free_axis(task.constraint))); }
-        add(ROTATION_WEIGHT * rotation_error(task.constraint, tip.rotation, goal.rotation), ROTATION_WEIGHT, 3, rows);
+        add(ROTATION_WEIGHT * rotation_error(task.constraint, tip.rotation, goal.rotation), ROTATION_WEIGHT, &Twist::angular, rows);
     }
 
     // Adds the curvature of a task in the world to the lower triangle of a matrix (n, n): minus error . d^2 tip / dq_i dq_j, which is
@@ -119,7 +154,7 @@ public:
     // By how much the center of mass is outside a half plane, in reaches; negative inside. Fills its change per unknown (n,).
     double center_of_mass(const HalfPlane& half, Result change) {
         find_center_of_mass();
-        for (size_t i = 0; i < n(); ++i) { change[i] = unit_[i] / reach_ * (half.x * body_J_(0, i) + half.y * body_J_(1, i)); }
+        for (size_t i = 0; i < n(); ++i) { change[i] = unit_[i] / reach_ * (half.x * body_J_[i].linear.x + half.y * body_J_[i].linear.y); }
         return (half.x * center_.x + half.y * center_.y - half.bound) / reach_;
     }
 
@@ -152,41 +187,34 @@ private:
         const Rotation wanted = towards(tip, goal);
         const double length = std::max(norm(goal.translation - tip.translation), least_distance());
         remove_turn(tip.rotation.z);
-        for (size_t i = 0; i < n(); ++i) {
-            const Vec3 moved = (1.0 / length) * cross(wanted.z, Vec3{J_(0, i), J_(1, i), J_(2, i)});
-            J_(3, i) += moved.x;
-            J_(4, i) += moved.y;
-            J_(5, i) += moved.z;
-        }
-        add(ROTATION_WEIGHT * rotation_error(Constraint::free_z, tip.rotation, wanted), ROTATION_WEIGHT, 3, rows);
+        for (Twist& column : J_) { column.angular += (1.0 / length) * cross(wanted.z, column.linear); }
+        add(ROTATION_WEIGHT * rotation_error(Constraint::free_z, tip.rotation, wanted), ROTATION_WEIGHT, &Twist::angular, rows);
     }
 
     // Takes the turn about an axis out of the angular rows of the Jacobian: it costs nothing.
     void remove_turn(Vec3 axis) {
-        for (size_t i = 0; i < n(); ++i) {
-            const Vec3 angular{J_(3, i), J_(4, i), J_(5, i)};
-            const Vec3 left = angular - dot(axis, angular) * axis;
-            J_(3, i) = left.x;
-            J_(4, i) = left.y;
-            J_(5, i) = left.z;
-        }
+        for (Twist& column : J_) { column.angular -= dot(axis, column.angular) * axis; }
     }
 
-    // Adds three rows from the rows of the Jacobian that begin at `from`.
-    void add(Vec3 error, double scale, size_t from, TaskRows& rows) {
+    // Adds three rows from the linear or the angular part of the Jacobian.
+    void add(Vec3 error, double scale, Vec3 Twist::* part, TaskRows& rows) {
         error.store(Result(rows.errors).subspan(rows.count));
-        for (size_t row = 0; row < 3; ++row) {
-            for (size_t i = 0; i < n(); ++i) { rows.J(rows.count + row, i) = scale * unit_[i] * J_(from + row, i); }
+        for (size_t c = 0; c < rows.columns.size(); ++c) {
+            const size_t i = rows.columns[c];
+            const Vec3 change = scale * unit_[i] * (J_[i].*part);
+            rows.J(rows.count, c) = change.x;
+            rows.J(rows.count + 1, c) = change.y;
+            rows.J(rows.count + 2, c) = change.z;
         }
         rows.count += 3;
     }
 
-    // The center of mass, and the Jacobian (6, n) of it.
+    // The center of mass, and the Jacobian of it.
     void find_center_of_mass() {
         const std::vector<Joint>& joints = dynamics_.model().joints;
         double total = fixed_.mass;
         Vec3 moment = fixed_.mass * fixed_.center;
-        std::ranges::fill(body_J_.numbers(), 0.0);
+        std::ranges::fill(body_J_, Twist{});
         for (size_t j = 0; j < joints.size(); ++j) { total += joints[j].mass; }
         for (size_t j = 0; j < joints.size(); ++j) {
             const Vec3 center = dynamics_.joint_frame(static_cast<int>(j)) * joints[j].center;
@@ -200,8 +228,8 @@ private:
     double reach_;
     Numbers unit_;  // (n,)
     FixedMass fixed_;
-    Mat J_;       // (6, n), of a task's frame in its reference
-    Mat body_J_;  // (6, n), of the center of mass
+    std::vector<Twist> J_;       // (n,) columns, of a task's frame in its reference
+    std::vector<Twist> body_J_;  // (n,) columns, of the center of mass
     Vec3 center_;
 };
 

@@ -133,6 +133,12 @@ struct Twist {
     Vec3 angular;
 };
 
+inline Twist operator*(double s, const Twist& a) { return {s * a.linear, s * a.angular}; }
+inline Twist& operator+=(Twist& a, const Twist& b) {
+    a.linear += b.linear;
+    a.angular += b.angular;
+    return a;
+}
 inline double dot(const Twist& a, const Twist& b) {
     return dot(a.linear, b.linear) + a.angular.x * b.angular.x + a.angular.y * b.angular.y + a.angular.z * b.angular.z;
 }
