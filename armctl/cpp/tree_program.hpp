@@ -10,7 +10,7 @@
 // Escande, Mansard, Wieber, "Hierarchical quadratic programming", Int. J. Robotics Research 33(7), 2014.
 #pragma once
 #include "ik_search.hpp"
-#include "quadratic_program.hpp"
+#include "null_space_program.hpp"
 #include "tree_tasks.hpp"
 
 namespace armctl {
@@ -27,7 +27,7 @@ public:
                 std::vector<HalfPlane> polygon)
         : errors_(model, reach, unit, fixed), limits_(std::move(limits)), tasks_(std::move(tasks)), polygon_(std::move(polygon)),
           soft_(6 * (tasks_.size() + polygon_.size()), first_numbers(n())), exact_(6 * tasks_.size(), first_numbers(n())),
-          movers_(errors_.movers(exact_tasks(tasks_))), end_rows_(exact_.errors.size(), movers_.unknowns), solver_(n(), exact_.errors.size() + polygon_.size()), box_(n(), 0), M_(exact_.errors.size() + polygon_.size(), n()) {}
+          movers_(errors_.movers(exact_tasks(tasks_))), end_rows_(exact_.errors.size(), movers_.unknowns), solver_(n(), movers_.unknowns, polygon_.size()), box_(n(), 0), M_(exact_.errors.size() + polygon_.size(), n()) {}
 
     size_t n() const { return errors_.n(); }
     const std::vector<TreeTask>& tasks() const { return tasks_; }
@@ -170,7 +170,8 @@ protected:
             upper_[n() + row] = rhs_[row];
             if (row < exact_.count) { lower_[n() + row] = rhs_[row]; }
         }
-        if (solver_.solve({.H = H_, .f = f_, .M = M_, .lower = lower_, .upper = upper_}, dx)) { return true; }
+        const Matrix rows = M_.top(exact_.count + polygon_.size());
+        if (solver_.solve({.H = H_, .f = f_, .M = rows, .lower = lower_, .upper = upper_}, exact_.count, dx)) { return true; }
         copy(rhs_, relaxed_.errors);
         for (size_t row = 0; row < M_.rows(); ++row) { copy(M_.row(row), relaxed_.J.row(row)); }
         relaxed_.count = exact_.count;
@@ -324,7 +325,7 @@ protected:
     TaskRows soft_, exact_;
     Movers movers_;      // of exact tasks
     TaskRows end_rows_;  // of exact tasks, at the end of a step
-    ActiveSetSolver solver_;
+    NullSpaceSolver solver_;
     ActiveSetSolver box_;
     Mat M_;
     // Scratch memory.
