@@ -45,6 +45,10 @@ public:
         set_room(q, MAX_STEP);
         for (size_t i = 0; i < n(); ++i) { pull_[i] = std::min(1.0, posture_gain * dt) * (posture[i] - q[i]) / errors_.unit()[i]; }
         set_program(q, posture_gain > 0.0 ? POSTURE_WEIGHT : 0.0);
+        const double exact_error = largest_exact_error();
+        tolerance_ = std::min(exact_error + EXACT, NEARLY_EXACT);
+        // Near a singular configuration, what makes up for nanometers can be a long way. Newton's method does it, with damping.
+        if (exact_error < NEARLY_EXACT) { std::ranges::fill(Result(rhs_).first(exact_.count), 0.0); }
         bound_curvature();
         approach_polygon(dt);
         const bool is_solved = solve_program(way_);
@@ -168,7 +172,14 @@ private:
             straight_[i] = before_[i] + part * (share * way_[i] - before_[i]);
             dx_[i] = Bounds{low_[i], high_[i]}.clamp(straight_[i]);
         }
-        return newton(q, dx_) && is_above_polygon(q, dx_, allowed_outside()) && can_brake(q, dx_, dt);
+        return newton(q, dx_, tolerance_) && is_above_polygon(q, dx_, allowed_outside()) && can_brake(q, dx_, dt);
+    }
+
+    // The greatest error of exact tasks at the start of the step.
+    double largest_exact_error() const {
+        double largest = 0.0;
+        for (size_t row = 0; row < exact_.count; ++row) { largest = std::max(largest, std::abs(exact_.errors[row])); }
+        return largest;
     }
 
     // By how much the center of mass may be outside its polygon, reaches: no farther than at the start of the step.
@@ -217,7 +228,7 @@ private:
     bool brake(Vector q, double dt) {
         const double share = std::max(0.0, 1.0 - dt / std::max(braking_time(before_, dt), dt));
         for (size_t i = 0; i < n(); ++i) { dx_[i] = Bounds{low_[i], high_[i]}.clamp(share * before_[i]); }
-        return newton(q, dx_);
+        return newton(q, dx_, tolerance_);
     }
 
     // Whether `brake`, step by step from the end of the step dx_ from q (n,), keeps exact tasks until the joints rest. Near a singular
@@ -239,7 +250,7 @@ private:
                 high_[i] = bounds.high * dt / errors_.unit()[i];
                 before_[i] = dx_[i];
             }
-            holds = brake(rest_q_, dt) || find_exact(rest_q_, dx_) < NEARLY_EXACT;
+            holds = brake(rest_q_, dt) || exact_error(rest_q_, dx_) < NEARLY_EXACT;
         }
         copy(rest_dx_, dx_);
         copy(rest_before_, before_);
@@ -344,7 +355,7 @@ private:
         for (int halving = 0; halving < MAX_HALVINGS; ++halving) {
             for (double& x : dx) { x *= 0.5; }
             copy(dx, kept_);
-            if (newton(q, kept_) && is_above_polygon(q, kept_, EXACT)) {
+            if (newton(q, kept_, EXACT) && is_above_polygon(q, kept_, EXACT)) {
                 copy(kept_, dx);
                 return true;
             }
@@ -385,6 +396,9 @@ private:
         }
     }
 
+    // Reaches, of exact tasks at the end of a step: the error at its start and `EXACT`. Where a singular configuration does not let the
+    // joints make up for the last nanometers, they would stand still for ever if the errors had to become smaller.
+    double tolerance_ = EXACT;
     // Scratch memory.
     Numbers rest_q_ = Numbers(n()), rest_dx_ = rest_q_, rest_before_ = rest_q_, rest_low_ = rest_q_, rest_high_ = rest_q_;
 };

@@ -27,7 +27,8 @@ public:
                 std::vector<HalfPlane> polygon)
         : errors_(model, reach, unit, fixed), limits_(std::move(limits)), tasks_(std::move(tasks)), polygon_(std::move(polygon)),
           soft_(6 * (tasks_.size() + polygon_.size()), first_numbers(n())), exact_(6 * tasks_.size(), first_numbers(n())),
-          movers_(errors_.movers(exact_tasks(tasks_))), end_rows_(exact_.errors.size(), movers_.unknowns), solver_(n(), movers_.unknowns, polygon_.size()), box_(n(), 0), M_(exact_.errors.size() + polygon_.size(), n()) {}
+          movers_(errors_.movers(exact_tasks(tasks_))), end_rows_(exact_.errors.size(), movers_.unknowns),
+          solver_(n(), movers_.unknowns, polygon_.size()), box_(n(), 0), M_(exact_.errors.size() + polygon_.size(), n()) {}
 
     size_t n() const { return errors_.n(); }
     const std::vector<TreeTask>& tasks() const { return tasks_; }
@@ -54,6 +55,8 @@ protected:
     static constexpr double EXACT = 1e-9;          // reaches: an exact task, or a polygon, with so small an error holds
     static constexpr double RELAXED_WEIGHT = 1e4;  // of exact tasks where limits contradict them
     static constexpr int EXACT_STEPS = 8;          // of Newton's method, back to the exact tasks
+    static constexpr double CHORD_SHARE = 0.1;     // of an error: if a correction leaves more, it needs new derivatives
+    static constexpr double STALLED_SHARE = 0.9;   // of an error: if one leaves more, at bounds or where damping stops it, none helps
     static constexpr int EXACT_PASSES = 3;         // of a step, with what the exact tasks were missed by
     static constexpr double MIN_SHIFT = 1e-6;      // squared reaches per squared radian: the smallest one that is tried
 
@@ -198,13 +201,13 @@ protected:
         if (!has_exact()) { return true; }
         for (int pass = 0;; ++pass) {
             copy(dx, kept_);
-            if (newton(q, kept_) && is_above_polygon(q, kept_, EXACT)) {
+            if (newton(q, kept_, EXACT) && is_above_polygon(q, kept_, EXACT)) {
                 copy(kept_, dx);
                 return true;
             }
             // At a bound, or too far: the program once more, with what its end misses.
             if (pass == EXACT_PASSES) { return false; }
-            find_exact(q, dx);
+            exact_error(q, dx);
             for (size_t row = 0; row < end_rows_.count; ++row) { rhs_[row] += end_rows_.errors[row]; }
             errors_.locate(end_);
             for (size_t k = 0; k < polygon_.size(); ++k) {
@@ -215,67 +218,123 @@ protected:
         }
     }
 
-    // Newton's method with the least change of dx, to exact tasks that hold at q + dx. Joints that it would take out of the bounds stay
-    // there. False if the others cannot do it.
-    bool newton(Vector q, Result dx) {
+    // Newton's method with the least change of dx, to exact tasks whose errors at q + dx are below a tolerance, reaches. Joints that it
+    // would take out of the bounds stay there. If the others cannot do it, it returns false, and dx is the best one that was found.
+    //
+    // It goes on with the derivatives of its start while these make the errors much smaller (chord method).
+    bool newton(Vector q, Result dx, double tolerance) {
         std::ranges::fill(is_held_, 0);
+        double least = INF;
+        double moved = 0.0;  // since the derivatives were found, rad or reaches
         for (int iteration = 0; iteration < EXACT_STEPS; ++iteration) {
-            if (find_exact(q, dx) < EXACT || correct(dx) < EXACT) { return true; }
+            const double error = exact_error(q, dx);
+            if (error < tolerance) { return true; }
+            if (error > STALLED_SHARE * least) { break; }
+            if (iteration == 0 || error > CHORD_SHARE * least) {
+                differentiate_exact();
+                moved = 0.0;
+            }
+            least = error;
+            copy(dx, nearest_);
+            const Correction correction = correct(dx);
+            // The second derivatives of a frame's pose are at most the levers of the joints that move it, which are at most one reach.
+            if (correction.left + (moved + 0.5 * correction.size) * correction.size < tolerance) { return true; }
+            moved += correction.size;
         }
+        copy(nearest_, dx);
         return false;
     }
 
-    // Changes dx (n,) by the least step that makes up for the errors of exact tasks at its end. Returns a bound of the errors that it
-    // leaves; infinite where a bound holds a joint.
-    //
-    // The second derivatives of a frame's pose are at most the levers of the joints that move it, which are at most one reach.
-    double correct(Result dx) {
-        const size_t count = end_rows_.count;
-        const size_t columns = movers_.unknowns.size();
-        const MatrixResult gram{gram_.numbers().data(), count, count};
-        for (size_t c = 0; c < columns; ++c) {
-            if (!is_held_[c]) { continue; }
-            for (size_t row = 0; row < count; ++row) { end_rows_.J(row, c) = 0.0; }
+    // What a correction changed.
+    struct Correction {
+        double size = 0.0;  // the sum of all changes, rad or reaches
+        double left = 0.0;  // what it leaves of the errors to first order
+    };
+
+    // Finds the derivatives of exact tasks where the joints are placed.
+    void differentiate_exact() {
+        end_rows_.clear();
+        for (const TreeTask& task : tasks_) {
+            if (task.exact) { errors_.add_rows(task, end_rows_); }
         }
-        for (size_t row = 0; row < count; ++row) {
+        for (size_t c = 0; c < is_held_.size(); ++c) {
+            if (is_held_[c]) { leave_out(c); }
+        }
+        factorize_gram();
+    }
+
+    void leave_out(size_t column) {
+        for (size_t row = 0; row < end_rows_.count; ++row) { end_rows_.J(row, column) = 0.0; }
+    }
+
+    // Factorizes J J^T of the exact tasks.
+    void factorize_gram() {
+        const MatrixResult gram{gram_.numbers().data(), end_rows_.count, end_rows_.count};
+        for (size_t row = 0; row < gram.rows; ++row) {
             for (size_t other = 0; other <= row; ++other) { gram(row, other) = dot(end_rows_.J.row(row), end_rows_.J.row(other)); }
             gram(row, row) += MIN_WEIGHT;
         }
         factorize(gram);
-        const Result multipliers = Result(end_rows_.errors).first(count);
-        solve(gram, multipliers);
+    }
+
+    // Changes dx (n,) by the least step that makes up for the errors of exact tasks. Joints that it would take out of the bounds go there
+    // and are held, and the others make up for the rest.
+    Correction correct(Result dx) {
+        Correction correction;
+        do { correction.left = solve_gram(); } while (hold_at_bounds(dx, correction.size));
+        for (size_t c = 0; c < correction_.size(); ++c) {
+            dx[movers_.unknowns[c]] += correction_[c];
+            correction.size += std::abs(correction_[c]);
+        }
+        return correction;
+    }
+
+    // Finds the least correction (C,) of the errors of exact tasks. Returns what it leaves of them to first order.
+    double solve_gram() {
+        const size_t count = end_rows_.count;
+        const Result multipliers = Result(multipliers_).first(count);
+        copy(Vector(end_rows_.errors).first(count), multipliers);
+        solve(Matrix{gram_.numbers().data(), count, count}, multipliers);
         std::ranges::fill(correction_, 0.0);
         double left = 0.0;
         for (size_t row = 0; row < count; ++row) {
-            for (size_t c = 0; c < columns; ++c) { correction_[c] += end_rows_.J(row, c) * multipliers[row]; }
+            const Vector J = end_rows_.J.row(row);
+            for (size_t c = 0; c < J.size(); ++c) { correction_[c] += J[c] * multipliers[row]; }
             left = std::max(left, MIN_WEIGHT * std::abs(multipliers[row]));
         }
-        double size = 0.0;
-        for (size_t c = 0; c < columns; ++c) {
+        return left;
+    }
+
+    // Moves the joints that a correction would take out of the bounds there, and holds them. Returns whether there are any.
+    bool hold_at_bounds(Result dx, double& size) {
+        bool is_any = false;
+        for (size_t c = 0; c < correction_.size(); ++c) {
             const size_t i = movers_.unknowns[c];
             const Bounds bounds{low_[i], high_[i]};
-            const double corrected = dx[i] + correction_[c];
-            if (!bounds.contain(corrected)) {
-                is_held_[c] = true;
-                left = INF;
-            }
-            dx[i] = bounds.clamp(corrected);
-            size += std::abs(correction_[c]);
+            if (is_held_[c] || bounds.contain(dx[i] + correction_[c])) { continue; }
+            const double change = bounds.clamp(dx[i] + correction_[c]) - dx[i];
+            for (size_t row = 0; row < end_rows_.count; ++row) { end_rows_.errors[row] -= end_rows_.J(row, c) * change; }
+            dx[i] += change;
+            size += std::abs(change);
+            is_held_[c] = true;
+            is_any = true;
+            leave_out(c);
         }
-        return left + 0.5 * size * size;
+        if (is_any) { factorize_gram(); }
+        return is_any;
     }
 
     void set_end(Vector q, Vector dx) {
         for (size_t i = 0; i < n(); ++i) { end_[i] = q[i] + dx[i] * errors_.unit()[i]; }
     }
 
-    // Linearizes exact tasks at the end of a step dx (n,) from q (n,). Returns the greatest error.
-    double find_exact(Vector q, Vector dx) {
+    // The greatest error of exact tasks at the end of a step dx (n,) from q (n,). Places the joints that move them.
+    double exact_error(Vector q, Vector dx) {
         set_end(q, dx);
         errors_.locate(end_, movers_.joints);
         end_rows_.clear();
         for (const TreeTask& task : tasks_) {
-            if (task.exact) { errors_.add_rows(task, end_rows_); }
+            if (task.exact) { errors_.add_errors(task, end_rows_); }
         }
         double most = 0.0;
         for (size_t row = 0; row < end_rows_.count; ++row) { most = std::max(most, std::abs(end_rows_.errors[row])); }
@@ -332,11 +391,12 @@ protected:
     TaskRows relaxed_{exact_.errors.size() + polygon_.size(), first_numbers(n())};
     std::vector<size_t> firsts_;
     Numbers correction_ = Numbers(movers_.unknowns.size());
+    Numbers multipliers_ = Numbers(exact_.errors.size());
     std::vector<char> is_held_ = std::vector<char>(movers_.unknowns.size());
     Mat H_{n(), n()}, C_{n(), n()}, factor_{n(), n()};
     Mat gram_{exact_.errors.size(), exact_.errors.size()};
     Numbers f_ = Numbers(n()), diagonal_ = f_, pull_ = f_, low_ = f_, high_ = f_, way_ = f_, before_ = f_, straight_ = f_, dx_ = f_,
-            kept_ = f_, end_ = f_, trial_ = f_, best_ = f_, change_ = f_;
+            kept_ = f_, nearest_ = f_, end_ = f_, trial_ = f_, best_ = f_, change_ = f_;
     Numbers rhs_ = Numbers(M_.rows());
     Numbers rooms_ = Numbers(polygon_.size());  // of the center of mass, to each edge of the polygon, reaches
     Numbers lower_ = Numbers(n() + M_.rows()), upper_ = lower_;

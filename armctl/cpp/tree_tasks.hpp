@@ -106,21 +106,24 @@ public:
     void add_rows(const TreeTask& task, TaskRows& rows) {
         const Pose tip = pose_of(task.frame);
         const Pose goal = goal_of(task);
+        const size_t first = rows.count;
+        add_errors(task, tip, goal, rows);
         std::ranges::fill(J_, Twist{});
         dynamics_.add_jacobian(task.frame.joint, tip.translation, 1.0, J_);
         dynamics_.add_jacobian(task.reference.joint, task.points ? tip.translation : goal.translation, -1.0, J_);
         if (task.points) {
-            add_direction(tip, goal, rows);
+            turn_with_goal(tip, goal);
+            set_derivatives(ROTATION_WEIGHT, &Twist::angular, first, rows);
             return;
         }
-        const Vec3 linear = (1.0 / reach_) * (goal.translation - tip.translation);
-        const double length = norm(linear);
-        const double share = std::min(1.0, MAX_ERROR / std::max(length, TINIEST));
-        add(share * linear, 1.0 / reach_, &Twist::linear, rows);
+        set_derivatives(1.0 / reach_, &Twist::linear, first, rows);
         if (task.constraint == Constraint::position) { return; }
         if (has_free_axis(task.constraint)) { remove_turn(axis_of(tip.rotation, free_axis(task.constraint))); }
-        add(ROTATION_WEIGHT * rotation_error(task.constraint, tip.rotation, goal.rotation), ROTATION_WEIGHT, &Twist::angular, rows);
+        set_derivatives(ROTATION_WEIGHT, &Twist::angular, first + 3, rows);
     }
+
+    // The same, with derivatives that are left as they are.
+    void add_errors(const TreeTask& task, TaskRows& rows) const { add_errors(task, pose_of(task.frame), goal_of(task), rows); }
 
     // Adds the curvature of a task in the world to the lower triangle of a matrix (n, n): minus error . d^2 tip / dq_i dq_j, which is
     // z_i x dp/dq_j where joint i carries joint j. `first` is the first row of the task.
@@ -182,13 +185,28 @@ private:
     // m: from a frame that is nearer to what it points to, the direction means nothing.
     double least_distance() const { return 1e-6 * reach_; }
 
-    // The direction of a frame's z axis: it turns with the frame, and the goal wanders as the frame moves.
-    void add_direction(const Pose& tip, const Pose& goal, TaskRows& rows) {
+    void add_errors(const TreeTask& task, const Pose& tip, const Pose& goal, TaskRows& rows) const {
+        const Result errors = Result(rows.errors).subspan(rows.count);
+        if (task.points) {
+            (ROTATION_WEIGHT * rotation_error(Constraint::free_z, tip.rotation, towards(tip, goal))).store(errors);
+            rows.count += 3;
+            return;
+        }
+        const Vec3 linear = (1.0 / reach_) * (goal.translation - tip.translation);
+        const double share = std::min(1.0, MAX_ERROR / std::max(norm(linear), TINIEST));
+        (share * linear).store(errors);
+        rows.count += 3;
+        if (task.constraint == Constraint::position) { return; }
+        (ROTATION_WEIGHT * rotation_error(task.constraint, tip.rotation, goal.rotation)).store(errors.subspan(3));
+        rows.count += 3;
+    }
+
+    // Adds to the Jacobian of a frame whose z axis points to a goal that the direction of the goal changes as the frame moves.
+    void turn_with_goal(const Pose& tip, const Pose& goal) {
         const Rotation wanted = towards(tip, goal);
         const double length = std::max(norm(goal.translation - tip.translation), least_distance());
         remove_turn(tip.rotation.z);
         for (Twist& column : J_) { column.angular += (1.0 / length) * cross(wanted.z, column.linear); }
-        add(ROTATION_WEIGHT * rotation_error(Constraint::free_z, tip.rotation, wanted), ROTATION_WEIGHT, &Twist::angular, rows);
     }
 
     // Takes the turn about an axis out of the angular rows of the Jacobian: it costs nothing.
@@ -196,17 +214,15 @@ private:
         for (Twist& column : J_) { column.angular -= dot(axis, column.angular) * axis; }
     }
 
-    // Adds three rows from the linear or the angular part of the Jacobian.
-    void add(Vec3 error, double scale, Vec3 Twist::* part, TaskRows& rows) {
-        error.store(Result(rows.errors).subspan(rows.count));
+    // Sets the derivatives of three rows from the linear or the angular part of the Jacobian.
+    void set_derivatives(double scale, Vec3 Twist::* part, size_t first, TaskRows& rows) const {
         for (size_t c = 0; c < rows.columns.size(); ++c) {
             const size_t i = rows.columns[c];
             const Vec3 change = scale * unit_[i] * (J_[i].*part);
-            rows.J(rows.count, c) = change.x;
-            rows.J(rows.count + 1, c) = change.y;
-            rows.J(rows.count + 2, c) = change.z;
+            rows.J(first, c) = change.x;
+            rows.J(first + 1, c) = change.y;
+            rows.J(first + 2, c) = change.z;
         }
-        rows.count += 3;
     }
 
     // The center of mass, and the Jacobian of it.
