@@ -18,6 +18,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 TextArray = NDArray[np.object_]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
+_FEW_NUMBERS = 32  # up to which Python looks at them faster than NumPy
 _INERTIA_TOLERANCE = 1e-3  # of the largest element: data sheets round to a few digits
 
 
@@ -77,10 +78,16 @@ def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Arr
         given = f"an array of shape {out.shape}" if out.ndim else "a single number"
         hint = "; Pose.from_matrix takes a matrix" if ndim == 1 and out.shape == (4, 4) else ""
         raise InputError(f"{what}: expected {kind}, got {given}{hint}")
-    if finite and not np.isfinite(out).all():
+    if finite and not _all_finite(out):
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(out))[0])
         raise InputError(f"{what}: element {list(where)} is {out[where]}, expected a finite number")
     return frozen(out)
+
+
+def _all_finite(values: Array) -> bool:
+    if values.size <= _FEW_NUMBERS:
+        return all(map(math.isfinite, values.ravel().tolist()))
+    return bool(np.isfinite(values).all())
 
 
 def as_array(what: str, value: object) -> NDArray[Any]:

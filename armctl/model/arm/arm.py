@@ -291,8 +291,11 @@ class Arm(ArmEquations):
             InputError: A wrong number of columns.
             LimitError: A position is far outside its limits.
         """
-        rows = q if isinstance(q, np.ndarray) and q.ndim == 2 else [vector(what, q, self.n, finite=False)]
-        given = matrix(what, rows, self.n, finite=False)
+        if isinstance(q, np.ndarray) and q.dtype == np.float64 and q.ndim in (1, 2) and q.shape[-1] == self.n:
+            given = q if q.ndim == 2 else q[None]
+        else:
+            rows = q if isinstance(q, np.ndarray) and q.ndim == 2 else [vector(what, q, self.n, finite=False)]
+            given = matrix(what, rows, self.n, finite=False)
         if ((given >= self.limits.q_min) & (given <= self.limits.q_max)).all():
             return
         excess = np.maximum(self.limits.q_min - given, given - self.limits.q_max)

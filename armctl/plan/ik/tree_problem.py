@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -117,7 +118,7 @@ def read_tasks(arm: Arm, targets: TipTargets, free_axis: str | None) -> list[Tre
 
 def _read_task(arm: Arm, tip: str, target: TipTarget, free_axis: str | None) -> TreeTask:
     if isinstance(target, Stay):
-        return TreeTask(tip, Constraint.POSE, None, points=False, exact=True, stays=True, numbers=_NOWHERE)
+        return _stay(tip)
     if isinstance(target, LookAt):
         numbers = np.concatenate([_NO_ROTATION, target.point])
         return TreeTask(tip, Constraint.FREE_Z, None, points=True, exact=False, stays=False, numbers=numbers)
@@ -126,10 +127,15 @@ def _read_task(arm: Arm, tip: str, target: TipTarget, free_axis: str | None) -> 
             raise UnknownNameError.from_known(f"tip of {arm.name:.60}", target.tip, arm.tips)
         constraint, numbers = read_target(target.target, free_axis if isinstance(target.target, Pose) else None)
         return TreeTask(tip, constraint, target.tip, points=False, exact=True, stays=False, numbers=numbers)
-    if isinstance(target, (str, Mapping, Region)):
+    if not isinstance(target, (np.ndarray, Pose)) and isinstance(target, (str, Mapping, Region)):
         raise InputError(f"target: {shown(tip)}: expected a Pose, a point, STAY, RelativeTo or LookAt, got {shown(target)}")
     constraint, numbers = read_target(target, free_axis)
     return TreeTask(tip, constraint, None, points=False, exact=False, stays=False, numbers=numbers)
+
+
+@cache
+def _stay(tip: str) -> TreeTask:
+    return TreeTask(tip, Constraint.POSE, None, points=False, exact=True, stays=True, numbers=_NOWHERE)
 
 
 def _check_references(tasks: list[TreeTask]) -> None:
