@@ -266,50 +266,75 @@ class Square(mink.Task):
         return np.eye(len(self.cost))
 
 
+REACH = 0.1 * np.sqrt(2.0) * 6 + 0.1  # m, of the torso: six links and the site
+
+
+def rows_at(arm, q, goals):
+    """Errors of tips and their Jacobian by MuJoCo, (6 T,) and (6 T, nv): lengths in reaches, angles with a third of a reach."""
+    third = REACH / 3.0  # m per rad
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(arm.model, data)
+    mujoco.mj_comPos(arm.model, data)
+    error, jacobian = [], []
+    for tip, goal in goals.items():
+        position, rotation = mujoco_pose(arm, q, tip)
+        J = np.zeros((6, arm.model.nv))
+        mujoco.mj_jac(arm.model, data, J[:3], J[3:], position, arm.tip_frames[arm.tips.index(tip)].body)
+        turn = np.zeros(3)
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, (goal.rotation @ rotation.T).ravel())
+        mujoco.mju_quat2Vel(turn, quat, 1.0)
+        error.append(np.concatenate([goal.position - position, third * turn]) / REACH)
+        jacobian.append(np.concatenate([J[:3], third * J[3:]]) / REACH)
+    return np.concatenate(error), np.concatenate(jacobian)
+
+
+def curvature_bound(arm, q, goals):
+    """(nv,) the sums of absolute values of the curvature of the tasks."""
+    e = rows_at(arm, q, goals)[0]
+    curvature = np.zeros((arm.model.nv, arm.model.nv))
+    step = 1e-6
+    for k in range(len(goals)):
+        own = slice(6 * k, 6 * k + 6)
+        for j in range(arm.n):
+            moved = np.eye(arm.n)[j] * step
+            change = (rows_at(arm, q + moved, goals)[1] - rows_at(arm, q - moved, goals)[1]) / (2 * step)
+            curvature[arm.dof_adr[j]] += e[own] @ change[own]
+    return np.abs(0.5 * (curvature + curvature.T)).sum(axis=1)
+
+
 def test_a_step_is_the_optimum_of_minks_program(torso):
     """Without limits in the way: errors, Jacobians and their derivatives by MuJoCo, the program by mink."""
     arm = free_limits(torso)
-    reach = 0.1 * np.sqrt(2.0) * 6 + 0.1  # six links and the site
-    third = reach / 3.0  # m per rad
-    data = mujoco.MjData(arm.model)
-
-    def rows(q, goals):
-        error, jacobian = [], []
-        data.qpos[:] = arm.qpos(q)
-        mujoco.mj_kinematics(arm.model, data)
-        mujoco.mj_comPos(arm.model, data)
-        for tip, goal in goals.items():
-            position, rotation = mujoco_pose(arm, q, tip)
-            J = np.zeros((6, arm.model.nv))
-            mujoco.mj_jac(arm.model, data, J[:3], J[3:], position, arm.tip_frames[arm.tips.index(tip)].body)
-            turn = np.zeros(3)
-            quat = np.zeros(4)
-            mujoco.mju_mat2Quat(quat, (goal.rotation @ rotation.T).ravel())
-            mujoco.mju_quat2Vel(turn, quat, 1.0)
-            error.append(np.concatenate([goal.position - position, third * turn]) / reach)
-            jacobian.append(np.concatenate([J[:3], third * J[3:]]) / reach)
-        return np.concatenate(error), np.concatenate(jacobian)
-
     rng = np.random.default_rng(5)
     order = np.argsort(arm.dof_adr)
     for q in 0.5 * configurations(arm, 10, seed=6):
         other = arm.limits.clamp(q + 0.1 * rng.normal(size=arm.n))
         goals = {tip: arm.fk(other, tip) for tip in arm.tips}
         v = armctl.DifferentialIk(arm, posture_gain=0.0).step(q, goals, 1.0)
-        e, J = rows(q, goals)
-        curvature = np.zeros((arm.model.nv, arm.model.nv))
-        step = 1e-6
-        for k in range(len(goals)):
-            own = slice(6 * k, 6 * k + 6)
-            for j in range(arm.n):
-                moved = np.eye(arm.n)[j] * step
-                change = (rows(q + moved, goals)[1] - rows(q - moved, goals)[1]) / (2 * step)
-                curvature[arm.dof_adr[j]] += e[own] @ change[own]
-        bound = np.abs(0.5 * (curvature + curvature.T)).sum(axis=1)
         configuration = mink.Configuration(arm.model, arm.qpos(q))
-        tasks = [Rows(e, J), Square(bound + 1e-10)]
+        tasks = [Rows(*rows_at(arm, q, goals)), Square(curvature_bound(arm, q, goals) + 1e-10)]
         expected = mink.solve_ik(configuration, tasks, 1.0, "daqp", damping=0.0, limits=[])
         assert v[order] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_step_with_a_tip_that_stays_is_the_optimum_of_minks_program_with_an_equality(torso):
+    """The goals are near: what keeps the tip on its curve changes a step by the square of its length."""
+    arm = free_limits(torso)
+    rng = np.random.default_rng(7)
+    order = np.argsort(arm.dof_adr)
+    for q in 0.5 * configurations(arm, 10, seed=8):
+        other = arm.limits.clamp(q + 3e-5 * rng.normal(size=arm.n))
+        goals = {"left": arm.fk(other, "left")}
+        stays = {"right": arm.fk(q, "right")}
+        v = armctl.DifferentialIk(arm, posture_gain=0.0).step(q, {**goals, "right": STAY}, 1.0)
+        configuration = mink.Configuration(arm.model, arm.qpos(q))
+        tasks = [Rows(*rows_at(arm, q, goals)), Square(curvature_bound(arm, q, goals) + 1e-10)]
+        exact = [Rows(*rows_at(arm, q, stays))]
+        expected = mink.solve_ik(configuration, tasks, 1.0, "daqp", damping=0.0, limits=[], constraints=exact)
+        assert np.abs(expected).max() > 1e-5
+        assert v[order] == pytest.approx(expected, abs=1e-7)
 
 
 def violations(arm, q, v, v_before, dt):
@@ -415,6 +440,32 @@ def test_feet_stay_where_legs_are_stretched(seed):
         assert violations(robot, q, v, before, 0.005) == (False, False, False)
         q = q + 0.005 * v
         assert max(gap(robot, q, tip, pose)[0] for tip, pose in feet.items()) < 1e-6
+
+
+@pytest.mark.parametrize("seed", some_of(range(6), [3]))
+def test_steps_are_hardly_held_back_where_targets_are_out_of_reach(seed):
+    """Both legs straight is where such targets lead: what is left of the errors of feet there stopped the joints again and again."""
+    if not at_hand("unitree_h1"):
+        pytest.skip(f"unitree_h1: {MISSING}")
+    robot = armctl.load("unitree_h1", base="free")
+    hands = {tip: robot.fk(robot.home, tip).position for tip in ("left_elbow_link", "right_elbow_link")}
+    feet = {tip: robot.fk(robot.home, tip) for tip in ("left_ankle_link", "right_ankle_link")}
+    rng = np.random.default_rng(seed)
+    ik = armctl.DifferentialIk(robot)
+    q = robot.home
+    v = np.zeros(robot.n)
+    held_back = 0
+    steps = 6000
+    for k in range(steps):
+        if k % 400 == 0:
+            targets = {tip: hands[tip] + 2.0 * rng.normal(size=3) for tip in hands} | dict.fromkeys(feet, STAY)
+        before = v
+        v = ik.step(q, targets, 0.005)
+        held_back += ik.status == "held back"
+        assert violations(robot, q, v, before, 0.005) == (False, False, False)
+        q = q + 0.005 * v
+        assert max(gap(robot, q, tip, pose)[0] for tip, pose in feet.items()) < 1e-6
+    assert held_back < 0.02 * steps
 
 
 def test_hands_come_back_from_where_legs_are_stretched():
