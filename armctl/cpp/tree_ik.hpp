@@ -151,8 +151,10 @@ private:
         const double rounding = 4.0 * std::numeric_limits<double>::epsilon() * (1.0 + std::abs(q));
         const double above = limits_.q_max[i] - q - rounding;
         const double below = q - limits_.q_min[i] - rounding;
-        double low = -std::min(v_max, fastest_to_stop(below, a, dt));
-        double high = std::min(v_max, fastest_to_stop(above, a, dt));
+        // From full speed, a joint stops in less than this.
+        const double far = v_max * (0.5 * v_max / a + dt);
+        double low = below > far ? -v_max : -std::min(v_max, fastest_to_stop(below, a, dt));
+        double high = above > far ? v_max : std::min(v_max, fastest_to_stop(above, a, dt));
         if (above < 0.0) { high = std::max(above / dt, -v_max); }
         if (below < 0.0) { low = std::min(-below / dt, v_max); }
         const Bounds reachable{v_before - a * dt, v_before + a * dt};

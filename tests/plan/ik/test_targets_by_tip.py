@@ -334,7 +334,7 @@ def test_a_step_with_a_tip_that_stays_is_the_optimum_of_minks_program_with_an_eq
         exact = [Rows(*rows_at(arm, q, stays))]
         expected = mink.solve_ik(configuration, tasks, 1.0, "daqp", damping=0.0, limits=[], constraints=exact)
         assert np.abs(expected).max() > 1e-5
-        assert v[order] == pytest.approx(expected, abs=1e-7)
+        assert v[order] == pytest.approx(expected, abs=1e-6)
 
 
 def violations(arm, q, v, v_before, dt):
@@ -444,7 +444,7 @@ def test_feet_stay_where_legs_are_stretched(seed):
 
 @pytest.mark.parametrize("seed", some_of(range(6), [3]))
 def test_steps_are_hardly_held_back_where_targets_are_out_of_reach(seed):
-    """Both legs straight is where such targets lead: what is left of the errors of feet there stopped the joints again and again."""
+    """Such targets stretch both legs: what was left of the errors of feet there stopped the joints again and again."""
     if not at_hand("unitree_h1"):
         pytest.skip(f"unitree_h1: {MISSING}")
     robot = armctl.load("unitree_h1", base="free")
@@ -455,7 +455,7 @@ def test_steps_are_hardly_held_back_where_targets_are_out_of_reach(seed):
     q = robot.home
     v = np.zeros(robot.n)
     held_back = 0
-    steps = 6000
+    steps = 4000
     for k in range(steps):
         if k % 400 == 0:
             targets = {tip: hands[tip] + 2.0 * rng.normal(size=3) for tip in hands} | dict.fromkeys(feet, STAY)
