@@ -1499,6 +1499,7 @@ class TreeIk:
         dt: float,
         posture: numpy.ndarray,
         posture_gain: float,
+        posture_weight: float,
         v: numpy.ndarray,
     ) -> StepEnd:
         """

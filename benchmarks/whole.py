@@ -1,6 +1,6 @@
 """Whole robots: two hands, feet that stay, fingertips, bases that move, beside mink in the same run; MuJoCo judges.
 
-    python benchmarks/whole.py [--targets 1000] [--steps 40000] [--motions 100] [--out benchmarks/results/whole.md]
+    python benchmarks/whole.py [--targets 1000] [--steps 40000] [--motions 100] [--runs 40] [--out benchmarks/results/whole.md]
     python benchmarks/whole.py --only steps --without-mink --steps 1000000
 
 The first table: targets for all tips of a robot at once, each of a random configuration inside the joint limits, from a random
@@ -13,7 +13,9 @@ medians of the public calls. The targets jump every two seconds, a third of them
 count from 1e-9 on, relative; mink has no limit of acceleration. Where its program has no solution, the robot stands still.
 After all steps the targets are where the hands were at first, for ten seconds: what is left then is drift.
 
-The third: motions between random configurations of arms with closed loops, each setpoint judged by MuJoCo's constraints.
+The third: what `posture_weight` brings and costs in many short runs; it keeps joints near home while targets are out of reach.
+
+The fourth: motions between random configurations of arms with closed loops, each setpoint judged by MuJoCo's constraints.
 
 The last: ticks of computed torque with MuJoCo's step, of one arm and of two arms as one, in turns; the least of each.
 """
@@ -47,7 +49,9 @@ LOOPS = (
 )
 SLIP = 1e-6  # m: a foot that is farther off has left its place
 RETURNING = 2000  # steps after all others, with the targets where the hands were at first
-TABLES = ("targets", "steps", "loops", "ticks")
+WEIGHTS = (0.0, 0.1)  # of the posture
+JUMPS = 6  # of the targets before each return
+TABLES = ("targets", "steps", "returns", "loops", "ticks")
 TICKS = 2000
 TURNS = 20  # of the runs whose ticks are compared
 
@@ -139,13 +143,13 @@ class Steps:
         self.drift = f"{1e6 * off:.2g} um, {np.abs(turned).max():.1g} rad"
 
 
-def follow_with_armctl(steps: int) -> list[str]:
+def follow_with_armctl(steps: int, posture_weight: float) -> list[str]:
     arm = armctl.load(HUMANOID, base="free")
     judge = Judge(arm)
     rng = np.random.default_rng(0)
     start = judge.tips(arm.home)
     hands = {hand: start[hand].position for hand in HANDS}
-    ik = armctl.DifferentialIk(arm)
+    ik = armctl.DifferentialIk(arm, posture_weight=posture_weight)
     q = arm.home.copy()
     seen = Steps(arm.limits, {foot: start[foot].position for foot in FEET}, slice(0, None))
     targets: dict[str, object] = {}
@@ -160,7 +164,40 @@ def follow_with_armctl(steps: int) -> list[str]:
         q = q + DT * v
         seen.add(seconds, q, v, {foot: pose.position for foot, pose in judge.tips(q).items()})
     seen.come_back({hand: pose.position for hand, pose in judge.tips(q).items()}, hands, q - arm.home)
-    return seen.row("armctl")
+    return seen.row(f"armctl, posture_weight={posture_weight:g}" if posture_weight else "armctl")
+
+
+def return_row(weight: float, runs: int) -> list[str]:
+    """How often hands come back to where they were, and how far they are from targets out of reach after two seconds."""
+    arm = armctl.load(HUMANOID, base="free")
+    judge = Judge(arm)
+    start = judge.tips(arm.home)
+    hands = {hand: start[hand].position for hand in HANDS}
+    stay = dict.fromkeys(FEET, armctl.STAY)
+    left = []
+    farther = []
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        ik = armctl.DifferentialIk(arm, posture_weight=weight)
+        q = arm.home.copy()
+        for jump in range(JUMPS + 1):
+            targets = hands if jump == JUMPS else hand_targets(hands, rng)
+            for _ in range(RETURNING if jump == JUMPS else 400):
+                q = q + DT * ik.step(q, targets | stay, DT)
+            off = missed(judge, q, targets)
+            nearest = armctl.solve_ik(arm, targets | stay, q)
+            if jump < JUMPS and not nearest.ok:
+                farther.append(max(0.0, float(np.linalg.norm(off) - np.linalg.norm(missed(judge, nearest.q, targets)))))
+        left.append(max(off))
+    back = sum(each < 1e-3 for each in left)
+    median, most = 1e3 * np.median(farther), 1e3 * np.quantile(farther, 0.9)
+    return [f"{weight:g}", f"{back} of {runs}", f"{1e3 * max(left):.3g} mm", f"{median:.0f} mm", f"{most:.0f} mm"]
+
+
+def missed(judge: Judge, q: np.ndarray, targets: dict[str, np.ndarray]) -> list[float]:
+    """How far tips are from their targets, m."""
+    tips = judge.tips(q)
+    return [float(np.linalg.norm(tips[tip].position - target)) for tip, target in targets.items()]
 
 
 def follow_with_mink(steps: int, *, exactly: bool) -> list[str]:
@@ -274,6 +311,7 @@ def main() -> None:
     parser.add_argument("--targets", type=int, default=1000, help="of each robot")
     parser.add_argument("--steps", type=int, default=40_000, help="of differential inverse kinematics")
     parser.add_argument("--motions", type=int, default=100, help="of each arm with closed loops")
+    parser.add_argument("--runs", type=int, default=40, help="of targets out of reach that come back")
     parser.add_argument("--only", nargs="+", choices=TABLES, default=TABLES, help="some of the tables")
     parser.add_argument("--without-mink", action="store_true", help="steps of armctl only")
     parser.add_argument("--out", type=Path, help="a Markdown file for the tables")
@@ -284,11 +322,15 @@ def main() -> None:
         rows = [solve_row(name, args.targets) for name in ROBOTS]
         tables.append(markdown_table(["robot", "joints", "targets", "solved", "median", "99 %"], rows))
     if "steps" in args.only:
-        rows = [follow_with_armctl(args.steps)]
+        rows = [follow_with_armctl(args.steps, weight) for weight in WEIGHTS]
         rows += [] if args.without_mink else [follow_with_mink(args.steps, exactly=exactly) for exactly in (False, True)]
         columns = ["", "a step", "feet: at most, steps off by 1 um", "position", "speed", "acceleration", "no solution"]
         tables.append(f"{args.steps} steps of a humanoid with 25 joints; steps that exceed a limit:")
         tables.append(markdown_table([*columns, "drift: hands, joints"], rows))
+    if "returns" in args.only:
+        columns = ["posture_weight", "hands back within 1 mm", "off at most", "farther than the nearest: median", "90 %"]
+        tables.append("Hands of the humanoid after targets out of reach, and how near they come to those:")
+        tables.append(markdown_table(columns, [return_row(weight, args.runs) for weight in WEIGHTS]))
     if "loops" in args.only:
         rows = [loop_row(*each, args.motions) for each in LOOPS]
         columns = ["", "joints", "motions", "setpoints", "loops open by at most", "to plan a motion", "poses solved"]

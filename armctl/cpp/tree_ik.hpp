@@ -31,6 +31,13 @@ inline double fastest_to_stop(double distance, double a, double dt) {
     return std::max(whole, whole + steps / (whole + 1.0) - 0.5 * whole) * a * dt;
 }
 
+// Where the joints go as far as the tips leave them free.
+struct Posture {
+    Vector q;             // (n,) rad (m)
+    double gain = 0.0;    // 1/s; 0 for none
+    double weight = 0.0;  // of the way there while tips are away from their targets, PostureWeights::away for a step of the whole way
+};
+
 // It has scratch memory: use an object in one thread at a time.
 class TreeIk : public TreeProgram {
 public:
@@ -41,10 +48,11 @@ public:
     // The limits of position, speed and acceleration hold. All joints go their part of the way to where the tips are nearest to
     // their targets, so fast that each can still stop there. They go on to `posture` at `posture_gain`, 1/s, as far as they are
     // free.
-    StepEnd step(Vector q, Vector v_before, double dt, Vector posture, double posture_gain, Result v) {
+    StepEnd step(Vector q, Vector v_before, double dt, const Posture& posture, Result v) {
         set_room(q, MAX_STEP);
-        for (size_t i = 0; i < n(); ++i) { pull_[i] = std::min(1.0, posture_gain * dt) * (posture[i] - q[i]) / errors_.unit()[i]; }
-        set_program(q, posture_gain > 0.0 ? POSTURE_WEIGHT : 0.0);
+        const double part = std::min(1.0, posture.gain * dt);
+        for (size_t i = 0; i < n(); ++i) { pull_[i] = part * (posture.q[i] - q[i]) / errors_.unit()[i]; }
+        set_program(q, part > 0.0 ? PostureWeights{.everywhere = POSTURE_WEIGHT, .away = posture.weight / part} : PostureWeights{});
         const double exact_error = largest_exact_error();
         tolerance_ = std::min(exact_error + EXACT, NEARLY_EXACT);
         // Near a singular configuration, what makes up for nanometers can be a long way. Newton's method does it, with damping.
@@ -330,7 +338,7 @@ private:
         for (int step = 0; moved > MIN_MOVE && step < MAX_APPROACH_STEPS; ++step) {
             ++result.steps;
             set_room(q, MAX_STEP);
-            set_program(q, 0.0);
+            set_program(q, {});
             shift = add_curvature(shift);
             if (!(solve_program(dx_) && keep_exact(q, dx_)) && !shorten(q, dx_)) { break; }
             moved = 0.0;

@@ -15,6 +15,12 @@
 
 namespace armctl {
 
+// Squared reaches per squared radian of the way to the posture.
+struct PostureWeights {
+    double everywhere = 0.0;
+    double away = 0.0;  // times the squared errors of the tips that an unknown moves, in reaches
+};
+
 // What the joints may do, (n,) each, rad (m) and seconds.
 struct JointLimits {
     Numbers q_min, q_max, v_max, a_max;
@@ -66,10 +72,12 @@ protected:
         soft_.clear();
         exact_.clear();
         firsts_.clear();
+        ends_.clear();
         for (const TreeTask& task : tasks_) {
             TaskRows& rows = task.exact ? exact_ : soft_;
             firsts_.push_back(rows.count);
             errors_.add_rows(task, rows);
+            ends_.push_back(rows.count);
         }
     }
 
@@ -105,16 +113,18 @@ protected:
         }
     }
 
-    // The program of a step from q (n,): the tasks, and a weight of the way to the posture.
-    void set_program(Vector q, double posture_weight) {
+    // The program of a step from q (n,): the tasks, and a pull to the posture.
+    void set_program(Vector q, PostureWeights weights) {
         linearize(q);
-        std::ranges::fill(diagonal_, MIN_WEIGHT + posture_weight);
+        std::ranges::fill(posture_weight_, weights.everywhere);
+        if (weights.away > 0.0) { weigh_posture(weights.away); }
+        for (size_t i = 0; i < n(); ++i) { diagonal_[i] = MIN_WEIGHT + posture_weight_[i]; }
         set_normal(diagonal_);
         std::ranges::fill(C_.numbers(), 0.0);
         for (size_t t = 0; t < tasks_.size(); ++t) {
             if (!tasks_[t].exact) { errors_.add_curvature(tasks_[t], soft_, firsts_[t], C_); }
         }
-        for (size_t i = 0; i < n(); ++i) { f_[i] -= posture_weight * pull_[i]; }
+        for (size_t i = 0; i < n(); ++i) { f_[i] -= posture_weight_[i] * pull_[i]; }
         for (size_t row = 0; row < exact_.count; ++row) {
             copy(exact_.J.row(row), M_.row(row));
             rhs_[row] = exact_.errors[row];
@@ -123,6 +133,45 @@ protected:
             rooms_[k] = -errors_.center_of_mass(polygon_[k], M_.row(exact_.count + k));
             rhs_[exact_.count + k] = rooms_[k];
         }
+    }
+
+    // Adds to the weight of each unknown on its way to the posture: the more, the farther tips that it moves are from their targets.
+    void weigh_posture(double weight) {
+        find_movers();
+        std::ranges::fill(squares_, 0.0);
+        for (size_t t = 0; t < tasks_.size(); ++t) {
+            if (tasks_[t].exact) { continue; }
+            const Vector errors = Vector(soft_.errors).subspan(firsts_[t], ends_[t] - firsts_[t]);
+            for (size_t i = 0; i < n(); ++i) {
+                if (moves_[t][i]) { squares_[i] += dot(errors, errors); }
+            }
+        }
+        for (size_t i = 0; i < n(); ++i) { posture_weight_[i] += weight * squares_[i] / (1.0 + std::sqrt(squares_[i])); }
+    }
+
+    // Finds the unknowns that move each task. Those that keep an exact task meanwhile, such as legs, belong to the others, too.
+    void find_movers() {
+        for (size_t t = 0; t < tasks_.size(); ++t) {
+            const TaskRows& rows = tasks_[t].exact ? exact_ : soft_;
+            for (size_t i = 0; i < n(); ++i) {
+                moves_[t][i] = false;
+                for (size_t row = firsts_[t]; row < ends_[t]; ++row) { moves_[t][i] = moves_[t][i] || rows.J(row, i) != 0.0; }
+            }
+        }
+        for (size_t t = 0; t < tasks_.size(); ++t) {
+            for (size_t e = 0; e < tasks_.size() && !tasks_[t].exact; ++e) {
+                if (tasks_[e].exact && share_one(moves_[t], moves_[e])) {
+                    for (size_t i = 0; i < n(); ++i) { moves_[t][i] = moves_[t][i] || moves_[e][i]; }
+                }
+            }
+        }
+    }
+
+    static bool share_one(const std::vector<bool>& first, const std::vector<bool>& second) {
+        for (size_t i = 0; i < first.size(); ++i) {
+            if (first[i] && second[i]) { return true; }
+        }
+        return false;
     }
 
     // Lets the center of mass come no nearer to the edges of the polygon than it can slow down: at most by a rate times the distance,
@@ -389,14 +438,15 @@ protected:
     Mat M_;
     // Scratch memory.
     TaskRows relaxed_{exact_.errors.size() + polygon_.size(), first_numbers(n())};
-    std::vector<size_t> firsts_;
+    std::vector<size_t> firsts_, ends_;                                            // rows of each task
+    std::vector<std::vector<bool>> moves_{tasks_.size(), std::vector<bool>(n())};  // which unknowns move each task
     Numbers correction_ = Numbers(movers_.unknowns.size());
     Numbers multipliers_ = Numbers(exact_.errors.size());
     std::vector<char> is_held_ = std::vector<char>(movers_.unknowns.size());
     Mat H_{n(), n()}, C_{n(), n()}, factor_{n(), n()};
     Mat gram_{exact_.errors.size(), exact_.errors.size()};
-    Numbers f_ = Numbers(n()), diagonal_ = f_, pull_ = f_, low_ = f_, high_ = f_, way_ = f_, before_ = f_, straight_ = f_, dx_ = f_,
-            kept_ = f_, nearest_ = f_, end_ = f_, trial_ = f_, best_ = f_, change_ = f_;
+    Numbers f_ = Numbers(n()), diagonal_ = f_, pull_ = f_, posture_weight_ = f_, squares_ = f_, low_ = f_, high_ = f_, way_ = f_,
+            before_ = f_, straight_ = f_, dx_ = f_, kept_ = f_, nearest_ = f_, end_ = f_, trial_ = f_, best_ = f_, change_ = f_;
     Numbers rhs_ = Numbers(M_.rows());
     Numbers rooms_ = Numbers(polygon_.size());  // of the center of mass, to each edge of the polygon, reaches
     Numbers lower_ = Numbers(n() + M_.rows()), upper_ = lower_;

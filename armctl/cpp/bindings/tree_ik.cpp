@@ -81,10 +81,11 @@ void set_targets(TreeIk& tree, const In& targets) {
 }
 
 StepEnd step(TreeIk& tree, const In& targets, const In& q, const In& v_before, double dt, const In& posture, double posture_gain,
-             const Out& v) {
+             double posture_weight, const Out& v) {
     set_targets(tree, targets);
     const size_t n = tree.n();
-    return tree.step(q.vector(n, "q"), v_before.vector(n, "v_before"), dt, posture.vector(n, "posture"), posture_gain, v.vector(n, "v"));
+    const Posture rest{.q = posture.vector(n, "posture"), .gain = posture_gain, .weight = posture_weight};
+    return tree.step(q.vector(n, "q"), v_before.vector(n, "v_before"), dt, rest, v.vector(n, "v"));
 }
 
 TreeSearch search(TreeIk& tree, const In& targets, double position_tolerance, double orientation_tolerance, std::int64_t first,
@@ -137,7 +138,7 @@ void bind_tree_ik(nb::module_& module) {
         bound, "__init__(self, model: ArmModel", [](auto& given) { return tree_description(given); }, make, "model"_a, "given"_a,
         "A tree from arrays for its n unknowns, its tasks and a polygon; armctl/cpp/bindings/tree_ik.cpp explains them.");
     bound
-        .def("step", &step, "targets"_a, "q"_a, "v_before"_a, "dt"_a, "posture"_a, "posture_gain"_a, "v"_a,
+        .def("step", &step, "targets"_a, "q"_a, "v_before"_a, "dt"_a, "posture"_a, "posture_gain"_a, "posture_weight"_a, "v"_a,
              "Fills v (n,) with the speeds that bring the frames nearer to the targets in dt, after v_before (n,).")
         .def("search", &search, "targets"_a, "position_tolerance"_a, "orientation_tolerance"_a, "first"_a, "last"_a, "seed"_a, "q"_a,
              "Searches from q (n,), then from random starts, and fills q with a solution, or with the best approximation.")

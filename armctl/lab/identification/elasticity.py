@@ -12,7 +12,7 @@ from armctl.core.errors import InputError
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.log import Log
 from armctl.core.result import Verdict
-from armctl.core.validation import Array, frozen, instance
+from armctl.core.validation import Array, frozen, instance, matrix
 from armctl.model.arm.arm import Arm, check_arm
 from armctl.model.arm.passive_forces import PassiveForces
 
@@ -64,8 +64,8 @@ def identify_elasticity(arm: Arm, log: Log, motor_positions: ArrayLike | None = 
     """
     check_arm(arm)
     instance("log", log, Log, "armctl.simulate and armctl.Log.from_csv give one")
-    motors = log.q if motor_positions is None else np.asarray(motor_positions, dtype=np.float64)
-    if log.q.shape[1] != arm.n or motors.shape != log.q.shape or not np.isfinite(motors).all():
+    motors = log.q if motor_positions is None else matrix("motor_positions", motor_positions, arm.n)
+    if log.q.shape[1] != arm.n or motors.shape != log.q.shape:
         raise InputError(f"motor_positions: expected finite numbers, {len(log)} x {arm.n}, as the log's, got {motors.shape}")
     cutoff = choose_cutoff(log.q, log.dt)
     found, errors = _fitted(arm, log, motors, cutoff, motor_positions is None)

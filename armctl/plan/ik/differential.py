@@ -17,7 +17,7 @@ from armctl.core.tip_targets import TipTargets, read_polygon
 from armctl.core.validation import Array, choice, frozen, number, vector
 from armctl.model.arm.arm import Arm, check_arm, check_one_tip
 from armctl.plan.ik.target_program import QP_SOLVERS, TargetProgram
-from armctl.plan.ik.tree_steps import TreeSteps
+from armctl.plan.ik.tree_steps import Posture, TreeSteps
 
 if TYPE_CHECKING:
     import mink
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from armctl.plan.ik.tasks import TipTask
 
 
+_MAX_POSTURE_WEIGHT = 1e3
 _ADDITIONS = "avoid, tasks, limits and constraints"
 
 
@@ -46,6 +47,7 @@ class DifferentialIk:
         *,
         posture: ArrayLike | None = None,
         posture_gain: float = 4.0,
+        posture_weight: float = 0.0,
         avoid: bool = False,
         clearance: float = 0.01,
         tasks: Sequence[BaseTask] = (),
@@ -60,6 +62,10 @@ class DifferentialIk:
             posture: (n,) rad (m for a slide joint), which the joints approach as far as the tip leaves them free. By default
                 the arm's home.
             posture_gain: 1/s, the gain of the posture; 0 disables it.
+            posture_weight: How much the posture counts while tips are away from their targets, with targets by tip. With 0, a
+                tip comes as near as possible to a target out of reach, and joints may wind to where they find no way back. With
+                0.1, they keep nearer to the posture, and come less near to targets that are far out of reach. At targets that
+                are reached it makes no difference.
             avoid: Whether to keep the arm clear of itself and of the scene.
             clearance: m, the distance to keep.
             tasks: Further mink tasks, made for `arm.model`.
@@ -81,7 +87,8 @@ class DifferentialIk:
         self.arm = arm
         self.status = "solved"
         self._polygon = read_polygon("center_of_mass_within", center_of_mass_within)
-        self._tree = TreeSteps(arm, rest, gain, self._polygon)
+        weight = number("posture_weight", posture_weight, 0.0, _MAX_POSTURE_WEIGHT)
+        self._tree = TreeSteps(arm, Posture(rest, gain, weight), self._polygon)
         self._program = None
         if not arm.further_tips:
             self._program = TargetProgram(arm, rest, gain, avoid, clearance, tasks, limits, constraints, solver)
@@ -121,7 +128,7 @@ class DifferentialIk:
         if isinstance(target, Region):
             check_one_tip(self.arm)
             target = target.nearest(self.arm.fk(start)).pose
-        if not isinstance(target, Mapping) and len(self._polygon):
+        if not isinstance(target, Mapping) and (len(self._polygon) or self._tree.posture.weight):
             target = {self.arm.tip: target}
         if not isinstance(target, Mapping):
             v, self.status = self._only_program.step(start, target, dt, free_axis)
@@ -138,7 +145,7 @@ class DifferentialIk:
         Args:
             v: (n,) rad/s, the velocity; None for standstill.
         """
-        self._tree = TreeSteps(self.arm, self._tree.posture, self._tree.posture_gain, self._polygon)
+        self._tree = TreeSteps(self.arm, self._tree.posture, self._polygon)
         if v is not None:
             self._tree.v = vector("v", v, self.arm.n)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from armctl._core import StepEnd
@@ -11,13 +13,20 @@ from armctl.model.arm.arm import Arm
 from armctl.plan.ik.tree_problem import TreeTask, TreeTasks, read_tasks
 
 
+class Posture(NamedTuple):
+    """Where the joints go as far as the tips leave them free."""
+
+    q: Array  # (n,) rad
+    gain: float  # 1/s
+    weight: float  # of it while tips are away from their targets
+
+
 class TreeSteps:
     """What follows targets by tip, step by step. Tips that stay are held where they were when they began to stay."""
 
-    def __init__(self, arm: Arm, posture: Array, posture_gain: float, polygon: Array):
+    def __init__(self, arm: Arm, posture: Posture, polygon: Array):
         self._arm = arm
         self.posture = posture
-        self.posture_gain = posture_gain
         self._polygon = polygon
         self._solvers: dict[tuple, TreeTasks] = {}  # by what the targets are, without their numbers
         self._held: dict[str, Array] = {}  # (12,) the poses of tips that stay
@@ -30,7 +39,7 @@ class TreeSteps:
         goals = np.array([task.numbers for task in tasks])
         self._hold(solver, q, tasks, goals)
         v = np.empty(self._arm.n)
-        end = solver.core.step(goals, q, self.v, dt, self.posture, self.posture_gain, v)
+        end = solver.core.step(goals, q, self.v, dt, *self.posture, v)
         self.v = v
         return v, end == StepEnd.SOLVED
 

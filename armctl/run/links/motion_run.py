@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from armctl.core.trajectory import TickReference
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array, instance, number
 from armctl.plan.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.plan.motion.trajectory.path_stop import remaining
 from armctl.plan.motion.trajectory.piecewise import JointSamples, Pieces, hermite, joined, quintics, sample, standing
@@ -47,6 +47,7 @@ class MotionRun:
             refusal: Why a motion from now on may not be made; empty if it may.
             provable: A motion, slowed down as far as needed; None if it may not be made.
         """
+        instance("controlled", controlled, ControlledArm, "robot.playing() makes a run of a robot")
         self._controlled = controlled
         self._drive = drive
         self._refusal = refusal
