@@ -354,7 +354,7 @@ def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
 
 @pytest.mark.full
 def test_margins_are_a_table_and_a_page(capsys, tmp_path):
-    chosen = ("--controllers", "pd,pd-gravity", "--configurations", "2", "--timestep", "0.002")
+    chosen = ("--controllers", "pd,pd-gravity", "--configurations", "3", "--timestep", "0.002")
     status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--out", str(tmp_path))
     assert status == 0, err
     assert [line.split()[0] for line in out.splitlines()[-2:]] == ["pd", "pd-gravity"]
@@ -362,7 +362,7 @@ def test_margins_are_a_table_and_a_page(capsys, tmp_path):
     assert page.count("<svg") == 2
     status, out, _ = run(capsys, "margins", BUNDLED, *chosen, "--json")
     for figures in json.loads(out)["result"]:
-        again = armctl.margins(armctl.load(BUNDLED), figures["controller"], 2, [armctl.Plant(timestep=0.002)])
+        again = armctl.margins(armctl.load(BUNDLED), figures["controller"], 3, [armctl.Plant(timestep=0.002)])
         assert figures["delay"]["value"] == again.delay.value
 
 
@@ -482,7 +482,7 @@ def _paths() -> dict[str, str]:
 
 @pytest.mark.full
 def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
-    chosen = ("--controllers", "computed-torque", "--plants", "nominal,payload=1", "--configurations", "2")
+    chosen = ("--controllers", "pd,computed-torque", "--plants", "nominal,payload=1")
     status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--out", str(tmp_path), "--threads", "1", "--json")
     assert status == 0
     assert [(r["controller"], r["plant"]) for r in json.loads(out)["result"]][-1] == ("computed-torque", "payload 1 kg")

@@ -88,6 +88,10 @@ class DifferentialIk:
         self.status = "solved"
         self._polygon = read_polygon("center_of_mass_within", center_of_mass_within)
         weight = number("posture_weight", posture_weight, 0.0, _MAX_POSTURE_WEIGHT)
+        if weight and not gain:
+            raise InputError("posture_weight: without a gain no joint goes to the posture; give a posture_gain above 0")
+        if weight and (avoid or tasks or limits or constraints):
+            raise InputError(f"posture_weight: it is for targets by tip, which do without {_ADDITIONS}; leave one of both out")
         self._tree = TreeSteps(arm, Posture(rest, gain, weight), self._polygon)
         self._program = None
         if not arm.further_tips:
@@ -129,6 +133,7 @@ class DifferentialIk:
             check_one_tip(self.arm)
             target = target.nearest(self.arm.fk(start)).pose
         if not isinstance(target, Mapping) and (len(self._polygon) or self._tree.posture.weight):
+            check_one_tip(self.arm)
             target = {self.arm.tip: target}
         if not isinstance(target, Mapping):
             v, self.status = self._only_program.step(start, target, dt, free_axis)

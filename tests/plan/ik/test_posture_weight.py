@@ -111,8 +111,11 @@ def test_a_single_target_has_the_weight_too():
     target = arm.fk(arm.home + 0.3).position
     ik = armctl.DifferentialIk(arm, posture_weight=0.1)
     q = arm.home.copy()
+    by_tip = armctl.DifferentialIk(arm, posture_weight=0.1)
     for _ in range(600):
-        q = q + DT * ik.step(q, target, DT)
+        v = ik.step(q, target, DT)
+        assert np.array_equal(v, by_tip.step(q, {arm.tip: target}, DT))
+        q = q + DT * v
     assert np.linalg.norm(arm.fk(q).position - target) < 1e-6
 
 
@@ -120,3 +123,14 @@ def test_a_single_target_has_the_weight_too():
 def test_a_wrong_weight_is_one_sentence(torso: armctl.Arm, weight: object):
     with pytest.raises(InputError, match="posture_weight: "):
         armctl.DifferentialIk(torso, posture_weight=weight)  # type: ignore[arg-type]
+
+
+def test_a_weight_that_could_not_act_is_refused_and_so_is_a_pose_for_several_tips(torso: armctl.Arm):
+    arm = armctl.load("robot_arm_3dof")
+    with pytest.raises(InputError, match="posture_weight: without a gain"):
+        armctl.DifferentialIk(arm, posture_weight=0.1, posture_gain=0.0)
+    with pytest.raises(InputError, match="posture_weight: it is for targets by tip"):
+        armctl.DifferentialIk(arm, posture_weight=0.1, avoid=True)
+    for options in ({"posture_weight": 0.1}, {"center_of_mass_within": [[0, 0], [1, 0], [0, 1]]}):
+        with pytest.raises(InputError, match="a pose is for one"):
+            armctl.DifferentialIk(torso, **options).step(torso.home, [0.5, 0.0, 0.5], DT)

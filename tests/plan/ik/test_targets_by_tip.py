@@ -419,9 +419,8 @@ def test_tips_that_stay_or_are_relative_hold_at_every_step(torso):
             assert ik.status == "solved"
 
 
-@pytest.mark.parametrize("seed", [0, 10])
-def test_feet_stay_where_legs_are_stretched(seed):
-    """What holds a foot near a straight leg needs accelerations that grow faster than braking takes the speed away."""
+def statuses_on_feet(seed, steps, period, way):
+    """How steps of a humanoid end whose feet stay, with other targets of its hands each period; feet and limits are judged."""
     if not at_hand("unitree_h1"):
         pytest.skip(f"unitree_h1: {MISSING}")
     robot = armctl.load("unitree_h1", base="free")
@@ -431,41 +430,31 @@ def test_feet_stay_where_legs_are_stretched(seed):
     ik = armctl.DifferentialIk(robot)
     q = robot.home
     v = np.zeros(robot.n)
-    for k in range(300):
-        if k % 200 == 0:
-            ways = {tip: rng.choice([0.3, 1.0, 2.0]) * rng.normal(size=3) for tip in hands}
-            targets = {tip: hands[tip] + way for tip, way in ways.items()} | dict.fromkeys(feet, STAY)
+    found = []
+    for k in range(steps):
+        if k % period == 0:
+            targets = {tip: place + way(rng) for tip, place in hands.items()} | dict.fromkeys(feet, STAY)
         before = v
         v = ik.step(q, targets, 0.005)
+        found.append(ik.status)
         assert violations(robot, q, v, before, 0.005) == (False, False, False)
         q = q + 0.005 * v
         assert max(gap(robot, q, tip, pose)[0] for tip, pose in feet.items()) < 1e-6
+    return found
+
+
+@pytest.mark.parametrize("seed", [0, 10])
+def test_feet_stay_where_legs_are_stretched(seed):
+    """What holds a foot near a straight leg needs accelerations that grow faster than braking takes the speed away."""
+    found = statuses_on_feet(seed, 300, 200, lambda rng: rng.choice([0.3, 1.0, 2.0]) * rng.normal(size=3))
+    assert "solved" in found
 
 
 @pytest.mark.parametrize("seed", some_of(range(6), [3]))
 def test_steps_are_hardly_held_back_where_targets_are_out_of_reach(seed):
     """Such targets stretch both legs: what was left of the errors of feet there stopped the joints again and again."""
-    if not at_hand("unitree_h1"):
-        pytest.skip(f"unitree_h1: {MISSING}")
-    robot = armctl.load("unitree_h1", base="free")
-    hands = {tip: robot.fk(robot.home, tip).position for tip in ("left_elbow_link", "right_elbow_link")}
-    feet = {tip: robot.fk(robot.home, tip) for tip in ("left_ankle_link", "right_ankle_link")}
-    rng = np.random.default_rng(seed)
-    ik = armctl.DifferentialIk(robot)
-    q = robot.home
-    v = np.zeros(robot.n)
-    held_back = 0
-    steps = 4000
-    for k in range(steps):
-        if k % 400 == 0:
-            targets = {tip: hands[tip] + 2.0 * rng.normal(size=3) for tip in hands} | dict.fromkeys(feet, STAY)
-        before = v
-        v = ik.step(q, targets, 0.005)
-        held_back += ik.status == "held back"
-        assert violations(robot, q, v, before, 0.005) == (False, False, False)
-        q = q + 0.005 * v
-        assert max(gap(robot, q, tip, pose)[0] for tip, pose in feet.items()) < 1e-6
-    assert held_back < 0.02 * steps
+    found = statuses_on_feet(seed, 4000, 400, lambda rng: 2.0 * rng.normal(size=3))
+    assert found.count("held back") < 0.02 * len(found)
 
 
 def test_hands_come_back_from_where_legs_are_stretched():

@@ -159,30 +159,29 @@ def test_an_unknown_tip_is_an_error_at_once(two: RealTimeSession):
             call(Pose([0.0, 0.0, 0.0]) if call == two.aim else 0.0, tip="foot")
 
 
-def test_what_touches_at_home_may_touch(two: RealTimeSession):
-    """Feet on the ground, such as here the upper arms on a floor: an arm that stands is not blocked by it."""
-    height = 0.5 - 0.02 + 1e-3  # at home the links lie on it
-    session = session_of(TWO_ARMS.replace("<worldbody>", "<worldbody>" + FLOOR.format(height=height)))
-    start = session._stepper.data.site("r").xpos.copy()
-    session.aim(Pose(start + np.array([-0.1, 0.0, 0.15])), tip="r")
+def assert_rises(session: RealTimeSession, tip: str) -> None:
+    """The tip comes up to a target above it."""
+    start = session._stepper.data.site(tip).xpos.copy()
+    session.aim(Pose(start + np.array([-0.1, 0.0, 0.15])), tip=tip)
     for _ in range(500):
         session.advance()
     assert session.status.activity is not Activity.BLOCKED
-    assert session._stepper.data.site("r").xpos[2] > start[2] + 0.1
+    assert session._stepper.data.site(tip).xpos[2] > start[2] + 0.1
+
+
+def test_what_touches_at_home_may_touch():
+    """Feet on the ground, such as here the upper arms on a floor: an arm that stands is not blocked by it."""
+    height = 0.5 - 0.02 + 1e-3  # at home the links lie on it
+    assert_rises(session_of(TWO_ARMS.replace("<worldbody>", "<worldbody>" + FLOOR.format(height=height))), "r")
 
 
 def test_a_loose_body_that_lies_on_an_arm_does_not_block_it():
-    ball = '<body pos="0.15 0.25 0.56"><freejoint/><geom name="ball" type="box" size="0.02 0.02 0.03" mass="0.01"/></body>'
-    session = session_of(TWO_ARMS.replace("</worldbody>", ball + "</worldbody>"))
+    brick = '<body pos="0.15 0.25 0.56"><freejoint/><geom name="brick" type="box" size="0.02 0.02 0.03" mass="0.01"/></body>'
+    session = session_of(TWO_ARMS.replace("</worldbody>", brick + "</worldbody>"))
     for _ in range(100):
         session.advance()
     assert session._stepper.data.ncon
-    start = session._stepper.data.site("l").xpos.copy()
-    session.aim(Pose(start + np.array([-0.1, 0.0, 0.15])), tip="l")
-    for _ in range(400):
-        session.advance()
-    assert session.status.activity is not Activity.BLOCKED
-    assert session._stepper.data.site("l").xpos[2] > start[2] + 0.1
+    assert_rises(session, "l")
 
 
 @pytest.mark.skipif(not at_hand("aloha"), reason=MISSING)
